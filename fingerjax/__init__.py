@@ -1,0 +1,1 @@
+"""fingerjax: what is this fingertip made of, how sure can one be, and what does the model miss?"""
