@@ -10,7 +10,7 @@
 | `sphere` | `radius_mm` |
 | `cylinder` | lying on its side: `radius_mm` |
 | `flat_cylinder` | standing on its end: `radius_mm` [`edge_radius_mm`] |
-| `grating` | lists: `ridge_mm`, and `groove_mm` between them, one fewer [`edge_radius_mm`] |
+| `grating` | `ridge_mm`, `groove_mm`: numbers if it repeats, else lists, one groove fewer [`edge_radius_mm`] |
 | `profile` | `data`: a CSV of `height_mm` against `position_mm` |
 
 Shapes that lie along an axis take `along: x` (across the finger) or `along: z`; `across:` a remark means
@@ -36,7 +36,7 @@ from .units import split_unit, to_internal
 class _Shape:
     needed: tuple[str, ...] = ()
     optional: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    lists: tuple[str, ...] = ()
+    lists: tuple[str, ...] = ()  # needed too: a number, or a list
     lies_along: bool = False
     has_data: bool = False
 
@@ -69,7 +69,9 @@ class IndenterSpec:
     - `dimensions`: mm, by name without unit: `radius`, `edge_radius`, `width`, ...; optional ones are filled
       in.
     - `along`: `x` or `z`, the axis that the shape is the same along; empty for a shape without one.
-    - `lists`: mm; `ridge` and `groove` of a grating, `position` and `height` of a profile.
+    - `lists`: mm; `ridge` and `groove` of a grating that does not repeat, its first ridge centred on the
+      origin;
+      `position` and `height` of a profile.
     """
 
     shape: str
@@ -104,7 +106,7 @@ def read_indenter(said: Any, *, direction: str = "z", folder: Path = Path(".")) 
     shape = SHAPES[name]
     lengths = _lengths(name, shape, said)
     along = _along(said, direction) if shape.lies_along else ""
-    lists = {key: _list(key, lengths[key]) for key in shape.lists if key in lengths}
+    lists = {key: _list(*lengths[key]) for key in shape.lists if key in lengths and _is_list(lengths[key][2])}
     spec = IndenterSpec(name, _dimensions(shape, lengths), along, lists)
     _check_complete(shape, spec)
     _check_fit(spec)
@@ -137,17 +139,17 @@ def _length(key: str, unit: str, value: Any, *, zero: bool = False) -> float:
 
 def _dimensions(shape: _Shape, lengths: Mapping[str, tuple[str, str, Any]]) -> dict[str, float]:
     values = dict(shape.optional)
-    for name in (*shape.needed, *shape.optional):
-        if name in lengths:
+    for name in (*shape.needed, *shape.lists, *shape.optional):
+        if name in lengths and not (name in shape.lists and _is_list(lengths[name][2])):
             values[name] = _length(*lengths[name], zero=name in _CAN_BE_ZERO)
     return values
 
 
-def _list(name: str, written: tuple[str, str, Any]) -> tuple[float, ...]:
-    key, unit, values = written
-    if not isinstance(values, Sequence) or isinstance(values, str) or not values:
-        remedy = f"write a list, as in {name}_mm: [3.0, 0.5]"
-        raise InputError("a list of lengths is needed", place=key, seen=values, remedy=remedy)
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _list(key: str, unit: str, values: Sequence[Any]) -> tuple[float, ...]:
     return tuple(_length(key, unit, value) for value in values)
 
 
@@ -189,7 +191,7 @@ def _check_fit(spec: IndenterSpec) -> None:
     halves = (
         spec.dimensions.get("radius"),
         spec.dimensions.get("width", 0.0) / 2,
-        min(ridge, default=0.0) / 2,
+        min(ridge, default=spec.dimensions.get("ridge", 0.0)) / 2,
     )
     room = next((half for half in halves if half), edge)
     if edge > room:
@@ -197,7 +199,7 @@ def _check_fit(spec: IndenterSpec) -> None:
         raise InputError(
             "the edge radius is larger than the shape", place="edge_radius_mm", seen=edge, remedy=remedy
         )
-    if len(groove) != max(len(ridge) - 1, 0):
+    if (ridge or groove) and len(groove) != len(ridge) - 1:
         seen = f"{len(ridge)} ridges, {len(groove)} grooves"
         remedy = "write one groove fewer than ridges: they lie between them"
         raise InputError("ridges and grooves do not fit", place="groove_mm", seen=seen, remedy=remedy)
