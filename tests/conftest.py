@@ -1,7 +1,7 @@
 """How every test is run: float64, no silent promotion, no window, and where the measured data are.
 
-Meshes are kept where the program keeps them (`FINGERJAX_CACHE`, or the user's cache folder), so that a second run of
-the tests does not mesh again.
+Meshes are kept where the program keeps them (`FINGERJAX_CACHE`, or the user's cache folder), so that a second
+run of the tests does not mesh again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(scope="session")
 def measured() -> Path:
-    """The folder of measured data: `FINGERJAX_DATA`, or `shared/data` beside the repository; skips without either."""
+    """The folder of measured data: `FINGERJAX_DATA`, or `shared/data` beside the repository; or a skip."""
     named = os.environ.get("FINGERJAX_DATA")
     folder = Path(named) if named else REPOSITORY.parent / "shared" / "data"
     if not folder.is_dir():

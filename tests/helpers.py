@@ -12,7 +12,7 @@ import numpy as np
 class Grade:
     """How far two numbers may be apart, and why that far.
 
-    `relative` is measured against the largest entry of what was expected, so that a zero in an array of forces is
+    `relative` is measured against the largest entry of what was expected, so that a zero among forces is
     judged by the forces around it; `absolute` is in the unit of the numbers.
     """
 
@@ -24,7 +24,8 @@ class Grade:
         """Raise `AssertionError` with the grade's reason when `found` is not `expected` to this grade."""
         found, expected = np.asarray(found, dtype=float), np.asarray(expected, dtype=float)
         room = self.absolute + self.relative * np.max(np.abs(expected), initial=0.0)
-        np.testing.assert_allclose(found, expected, rtol=0.0, atol=room, err_msg=f"not the same: {self.because}")
+        reason = f"not the same: {self.because}"
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=room, err_msg=reason)
 
 
 SAME_ARITHMETIC = Grade(1e-12, 1e-14, "the same sums in another order, float64")

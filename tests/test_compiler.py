@@ -1,7 +1,7 @@
 """A compiler can be wrong, so what it makes of a large element loop is compared with NumPy.
 
-jax 0.10.2 on the CPU silently gives wrong numbers for a jitted `vmap(M @ v)` followed by a reduction once more than
-16384 float64 rows go through it (jax issue 39103), and for `arctan` of 50 values and more (jax issue 39352).
+On the CPU, jax 0.10.2 silently gives wrong numbers for a jitted `vmap(M @ v)` followed by a reduction once
+more than 16384 float64 rows go through it (jax issue 39103), and for `arctan` of 50 values and more (39352).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def test_a_jitted_product_and_reduction_per_element_is_what_numpy_makes_of_it(el
 
 
 @pytest.mark.parametrize("elements", ELEMENTS)
-def test_a_jitted_strain_energy_per_element_and_its_forces_are_what_numpy_makes_of_them(elements: int) -> None:
+def test_a_jitted_strain_energy_and_its_forces_are_what_numpy_makes_of_them(elements: int) -> None:
     random = np.random.default_rng(39103)
     gradients = random.normal(size=(elements, 10, 3))  # of ten shape functions at one point
     displacement = random.normal(size=(elements, 10, 3))

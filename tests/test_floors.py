@@ -30,7 +30,7 @@ ROOF = len(FLOORS)
 
 
 def read_imports(package: Path) -> dict[str, set[str]]:
-    """Each file of the package, as `room.file`, and the files of the package that it imports; `""` is the package."""
+    """Each file of the package, as `room.file`, with the files of it that it imports; `""` is the package."""
     files = {".".join(_parts(path, package)): path for path in sorted(package.rglob("*.py"))}
     return {name: set(_targets(name, path, package.name, files)) - {name} for name, path in files.items()}
 
@@ -55,7 +55,7 @@ def _targets(name: str, path: Path, package: str, files: dict[str, Path]) -> lis
 
 
 def _named_files(base: str, names: list[ast.alias], package: str, files: dict[str, Path]) -> list[str]:
-    """What `from base import names` reaches: files by their own name, and `base` itself for anything else in it."""
+    """What `from base import names` reaches: files by their own name, `base` for anything else in it."""
     reached = []
     for alias in names:
         below = f"{base}.{alias.name}"
@@ -70,7 +70,7 @@ def _inside(target: str, package: str) -> str:
 
 
 def level(name: str) -> int:
-    """The floor of a file, 0 at the ground; the package itself is the roof. Raises `KeyError` for an unknown room."""
+    """The floor of a file, 0 at the ground; the package itself is the roof. `KeyError`: no such room."""
     return LEVEL[name.split(".")[0]] if name else ROOF
 
 
@@ -99,8 +99,9 @@ def picture(imports: dict[str, set[str]]) -> str:
     lines = []
     for number, floor in reversed(list(enumerate(FLOORS))):
         files = [name for name in imports if name and level(name) == number]
-        below = sorted({level(target) for name in files for target in imports[name] if level(target) < number})
-        stands = f"   [on {', '.join(list(FLOORS)[k] for k in below)}]" if below else ""
+        levels = {level(target) for name in files for target in imports[name]}
+        below = [floor for k, floor in enumerate(FLOORS) if k in levels and k < number]
+        stands = f"   [on {', '.join(below)}]" if below else ""
         lines.append(f"{number}  {floor:<12} {' '.join(files) or '-'}{stands}")
     return "\n".join(lines)
 
@@ -122,7 +123,7 @@ def test_no_imports_go_in_circles() -> None:
 
 @pytest.fixture
 def crooked_house(tmp_path: Path) -> dict[str, set[str]]:
-    """A package in which every wrong that the other tests look for is done, each in another manner of importing."""
+    """A package in which everything the other tests look for is wrong, in every manner of importing."""
     package = tmp_path / "fingerjax"
     written = {
         "__init__.py": "from .errors import InputError",
