@@ -1,0 +1,1 @@
+"""Shape of a fingertip: sections, the layered solid through them, and the presets."""
