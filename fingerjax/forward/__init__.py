@@ -1,0 +1,9 @@
+"""From a study to numbers: what every instrument would have read, given the parameters.
+
+`wiring` says which parameter enters which layer of which subject; `rigs` turn rows of a measurement into indentations and readings;
+`model` computes them all from one condensation of the body for each material.
+"""
+
+from .model import Model, Prediction, Residuals, assemble
+
+__all__ = ["Model", "Prediction", "Residuals", "assemble"]

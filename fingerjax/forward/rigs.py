@@ -1,0 +1,240 @@
+"""A measurement as a rig: which indentations were made, and which reading of which indentation each row is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Array, Float, Int
+
+from ..contact.indenter import AbstractIndenter, from_spec
+from ..contact.pad import Indentation, Interface, Pad, functionals, interface, pad_for, surface_functionals, windows
+from ..errors import InputError
+from ..fem.body import Body
+from ..fem.locate import strain_columns
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
+from ..indenter_spec import IndenterSpec
+from ..measurements import Measurement, Receptor
+from ..mesh import Focus
+from .wiring import Wiring
+
+LARGEST_STRAIN_SHARE = 0.35  # of the finger's height: no travel under force control goes deeper
+
+
+class Rig(eqx.Module):
+    """One indenter of one measurement.
+
+    - `columns` (poses, p): where the pad nodes of each pose stand among the compliance's columns.
+    - `interface`: contact geometry of each pose. `pose`, `imposed` (cases,): where, and mm of travel or N of force.
+    - `variant` (cases,): which material. `row` (r,), `case` (r,), `reading` (r,): what each row of the measurement is; `reading` is
+      the compliance column of an observed surface point, or the first of six strain columns.
+    """
+
+    indenter: AbstractIndenter
+    columns: Int[Array, "poses p"]
+    interface: Interface
+    pose: Int[Array, " cases"]
+    imposed: Float[Array, " cases"]
+    variant: Int[Array, " cases"]
+    row: Int[Array, " r"]
+    case: Int[Array, " r"]
+    reading: Int[Array, " r"]
+    measurement: int = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+    forced: bool = eqx.field(static=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What one indenter of one measurement asks for, before there is a mesh: poses in (x, z) mm, cases and rows."""
+
+    measurement: Measurement
+    index: int
+    indenter: AbstractIndenter
+    rows: np.ndarray
+    origins: np.ndarray
+    pose: np.ndarray
+    imposed: np.ndarray
+    variant: np.ndarray
+    case: np.ndarray
+
+    @property
+    def deepest(self) -> float:
+        return float(self.imposed.max())
+
+
+def indenter_from(spec: IndenterSpec) -> AbstractIndenter:
+    """The rigid shape that a sidecar describes."""
+    table = (spec.lists["position"], spec.lists["height"]) if "position" in spec.lists else None
+    dimensions = {**spec.dimensions, **{name: value for name, value in spec.lists.items() if name in ("ridge", "groove")}}
+    return from_spec(spec.shape, dimensions, spec.along or "x", table)  # type: ignore[arg-type]
+
+
+def site(solid: LayeredSolid, measurement: Measurement) -> tuple[float, float]:
+    """(x, z), mm, of the point of the skin that a measurement is about: its own site, or the lowest point of the pad."""
+    if measurement.site is not None:
+        return skin_point(solid, measurement.site.z, measurement.site.theta)
+    z = np.linspace(0.0, solid.length, 400)[1:-1]
+    return 0.0, float(z[np.argmin(solid.pad_y(z))])
+
+
+def skin_point(solid: LayeredSolid, z: float, theta: float) -> tuple[float, float]:
+    """(x, z), mm, of the skin at an angle about the section's centre."""
+    if not 0 < z < solid.length:
+        raise InputError("the site lies beyond the finger", place="z_mm", seen=z, remedy=f"write 0 to {solid.length:g} mm")
+    at, angle = np.array([z]), np.array([theta])
+    return float(solid.centre(at)[0, 0] + solid.radius(0, at, angle)[0] * np.cos(theta)), z
+
+
+def plans(measurements: tuple[Measurement, ...], solid: LayeredSolid, wired: Wiring) -> list[Plan]:
+    """One plan for each indenter of each measurement."""
+    variants = {labels: number for number, labels in enumerate(wired.variants(measurements))}
+    found = []
+    for index, measurement in enumerate(measurements):
+        stimulus = np.asarray(measurement.table.get("stimulus", np.full(len(measurement), ""))).astype(str)
+        variant = np.array([variants[labels] for labels in wired.labels(measurement)])
+        for name, spec in measurement.indenters.items():
+            rows = np.arange(len(measurement)) if name == "" else np.flatnonzero(stimulus == name)
+            if len(rows):
+                found.append(_plan(measurement, index, indenter_from(spec), rows, variant[rows], solid))
+    return found
+
+
+def _plan(measurement: Measurement, index: int, indenter: AbstractIndenter, rows: np.ndarray, variant: np.ndarray, solid: LayeredSolid) -> Plan:
+    origin = _origins(measurement, rows, solid)
+    imposed = measurement.table[measurement.imposed][rows]
+    origins, pose = np.unique(np.round(origin, 9), axis=0, return_inverse=True)
+    key = np.column_stack([pose.reshape(-1), variant, imposed])
+    cases, case = np.unique(key, axis=0, return_inverse=True)
+    return Plan(measurement, index, indenter, rows, origins, cases[:, 0].astype(int), cases[:, 2], cases[:, 1].astype(int), case.reshape(-1))
+
+
+def _origins(measurement: Measurement, rows: np.ndarray, solid: LayeredSolid) -> np.ndarray:
+    """(rows, 2): where the indenter's own origin stands, (x, z) mm."""
+    if measurement.kind != "spike_rate":
+        return np.tile(site(solid, measurement), (len(rows), 1))
+    receptor = _receptor(measurement)
+    origin = np.tile(skin_point(solid, receptor.z, receptor.theta), (len(rows), 1))
+    origin[:, "xz".index(measurement.direction)] += measurement.table["position"][rows]
+    return origin
+
+
+def _receptor(measurement: Measurement) -> Receptor:
+    if measurement.receptor is None:
+        raise InputError(
+            "spike rates need the place of their receptor",
+            file=measurement.file,
+            place="receptor",
+            remedy="write receptor: {depth_mm: ..., z_mm: ..., theta_deg: ...} in the sidecar or under model:",
+        )
+    return measurement.receptor
+
+
+def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[Focus, ...]:
+    """Where the mesh must be finer than the pad's own spacing: under probes and edges smaller than it."""
+    found = {}
+    for plan in planned:
+        feature = plan.indenter.feature
+        wedge = type(plan.indenter).__name__ == "Line"
+        if not wedge and type(plan.indenter).__name__ not in ("Point", "FlatCylinder"):
+            continue
+        size = LINE_SPACING if wedge else float(feature or 0.0) * PROBE_SPACING
+        if size < pad_spacing:
+            for x, z in plan.origins:
+                focus = _focus(plan.indenter, solid, x, z, size)
+                found[focus] = None
+    return tuple(found)
+
+
+LINE_SPACING = 0.2  # mm: a wedge is a singular line, its profile beside the load wants a few nodes to the millimetre
+PROBE_SPACING = 0.25  # of the probe's radius
+
+
+def _focus(indenter: AbstractIndenter, solid: LayeredSolid, x: float, z: float, size: float) -> Focus:
+    theta = float(np.arctan2(solid.pad_y(np.array([z]))[0] - solid.centre(np.array([z]))[0, 1], x - solid.centre(np.array([z]))[0, 0]))
+    along = getattr(indenter, "along", "x")
+    if type(indenter).__name__ == "Line":
+        return Focus(kind="line", z=float(z), theta=theta, size=size, extent=0.0, along=along)
+    return Focus(kind="point", z=float(z), theta=theta, size=size, extent=float(getattr(indenter, "radius", 0.0)), along=along)
+
+
+@dataclasses.dataclass(frozen=True)
+class Laid:
+    """Rigs laid out on a mesh: the columns that they read and press, and the layer of each receptor."""
+
+    rigs: tuple[Rig, ...]
+    columns: sp.csc_matrix
+    receptor_layer: dict[int, int]
+    pad: Pad
+
+
+def lay(planned: list[Plan], finger: Finger, body: Body, solid: LayeredSolid) -> Laid:
+    """Choose the pad that can be touched, and number everything that is read from the body."""
+    limit = LARGEST_STRAIN_SHARE * float(np.ptp(finger.nodes[:, 1]))
+    indentations = {id(plan): _indentations(plan, limit) for plan in planned}
+    pad = pad_for(finger, [one for each in indentations.values() for one in each])
+    matrices = [functionals(pad, len(finger.nodes))]
+    rigs, layers = [], {}
+    for plan in planned:
+        offset = sum(matrix.shape[1] for matrix in matrices)
+        matrix, reading, layer = _readings(plan, finger, body, solid)
+        if matrix is not None:
+            matrices.append(matrix)
+        if layer is not None:
+            layers[plan.index] = layer
+        rigs.append(_rig(plan, pad, indentations[id(plan)], reading + offset))
+    return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers, pad)
+
+
+def _indentations(plan: Plan, limit: float) -> list[Indentation]:
+    forced = plan.measurement.controlled == "force"
+    expected = plan.measurement.table.get("displacement") if forced else plan.imposed
+    travel = float(np.max(expected)) * (1.3 if forced else 1.0) if expected is not None else limit
+    return [Indentation(plan.indenter, (float(x), float(z)), min(max(travel, 0.05), limit)) for x, z in plan.origins]
+
+
+def _readings(plan: Plan, finger: Finger, body: Body, solid: LayeredSolid) -> tuple[sp.csc_matrix | None, np.ndarray, int | None]:
+    """Columns observed beside the pad, which of them each row reads, and the layer of the receptor."""
+    measurement, rows = plan.measurement, plan.rows
+    if measurement.kind == "deflection_profile":
+        points = np.tile(site(solid, measurement), (len(rows), 1))
+        points[:, "xz".index(measurement.direction)] += measurement.table["distance"][rows]
+        unique, reading = np.unique(np.round(points, 9), axis=0, return_inverse=True)
+        return surface_functionals(finger, unique), reading.reshape(-1), None
+    if measurement.kind == "spike_rate":
+        matrix, layer = strain_columns(body, receptor_point(solid, _receptor(measurement)))
+        return matrix, np.zeros(len(rows), int), layer
+    return None, np.zeros(len(rows), int), None
+
+
+def receptor_point(solid: LayeredSolid, receptor: Receptor) -> np.ndarray:
+    """(3,), mm: `depth` below the skin, on the way to the section's centre."""
+    z, theta = np.array([receptor.z]), np.array([receptor.theta])
+    radius = solid.radius(0, z, theta)[0] - receptor.depth
+    x, y = solid.centre(z)[0] + radius * np.array([np.cos(receptor.theta), np.sin(receptor.theta)])
+    return np.array([x, y, receptor.z])
+
+
+def _rig(plan: Plan, pad: Pad, indentations: list[Indentation], reading: np.ndarray) -> Rig:
+    cut = windows(pad, indentations)
+    origin = jnp.asarray(plan.origins)
+    geometry = eqx.filter_jit(lambda indenter, cut, origin: jax.vmap(lambda one, at: interface(one, indenter, (at[0], at[1])))(cut, origin))
+    return Rig(
+        indenter=plan.indenter,
+        columns=cut.columns,
+        interface=geometry(plan.indenter, cut, origin),
+        pose=jnp.asarray(plan.pose),
+        imposed=jnp.asarray(plan.imposed),
+        variant=jnp.asarray(plan.variant),
+        row=jnp.asarray(plan.rows),
+        case=jnp.asarray(plan.case),
+        reading=jnp.asarray(reading),
+        measurement=plan.index,
+        kind=plan.measurement.kind,
+        forced=plan.measurement.controlled == "force",
+    )
