@@ -1,9 +1,8 @@
 """The door for studies: `experiments.yaml` becomes checked `Study` records before anything is computed.
 
 A study names a finger, a model, measurements, and what is to be done with them. Every name in it (a layer, a
-parameter, a
-column, a measurement) is checked here against what there is; what is wrong is refused with file, line and
-the nearest name.
+parameter, a column, a measurement) is checked here against what there is; what is wrong is refused with
+file, line and the nearest name.
 """
 
 from __future__ import annotations
@@ -141,8 +140,7 @@ class Study:
     - `finger`, `model`: as written, see `study_keys`; `sections` is where the geometry's CSV is, None for a
       preset.
     - `missing_data`: files in the data folder that are not there; while there are any, `fallback` (if not
-      None) is the name
-      of the study to run instead, and `measurements` holds only what could be read.
+      None) is the name of the study to run instead, and `measurements` holds only what could be read.
     - `options`: of a `table` or a `layer_study`; None for the other kinds, and where its file is missing.
     """
 
@@ -182,8 +180,9 @@ def base_parameters(model: Model, measurements: Sequence[Measurement] = ()) -> t
     """The parameters of a model and of the afferents that were recorded.
 
     `<layer>.modulus` (MPa), `poisson_ratio` or `<layer>.poisson_ratio`, and for every spike-rate measurement
-    its `scale`
-    (Hz/MPa) and `threshold` (MPa): rate = scale * max(quantity - threshold, 0). The bone's is there where it is elastic.
+    its `scale` (Hz/MPa) and `threshold` (MPa): rate = scale * max(quantity - threshold, 0). The bone's
+    modulus
+    is there where it is elastic.
     """
     afferents = [one for one in measurements if one.kind == "spike_rate"]
     return (
@@ -230,8 +229,7 @@ def load_studies(path: Path | str, data: Path | str | None = None) -> dict[str, 
     **Returns** the studies by name; a single one is named after its file.
 
     **Raises** `InputError` for the first thing wrong. Data that should lie in the data folder and do not are
-    no error: see
-    `Study.missing_data`.
+    no error: see `Study.missing_data`.
     """
     file = Path(path)
     folder = data if data is not None else os.environ.get("FINGERJAX_DATA") or None
