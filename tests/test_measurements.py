@@ -160,7 +160,7 @@ depths = st.floats(0, 5).map(lambda value: round(value, 6))
 
 
 @given(st.lists(st.tuples(depths, finite, finite), min_size=1, max_size=20))
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 def test_what_is_written_is_read(tmp_path_factory, rows):
     lines = [",".join(repr(value) for value in row) for row in rows]
     csv = "depth_mm,distance_mm,deflection_mm\n" + "\n".join(lines) + "\n"
@@ -389,6 +389,7 @@ def test_files_that_cannot_be_read(tmp_path):
 
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name != "profile"])
 @given(size=st.floats(0.1, 10.0))
+@settings(deadline=None)
 def test_every_shape_has_its_dimensions(shape, size):
     wanted = SHAPES[shape]
     spec = read_indenter({"shape": shape, **{f"{name}_mm": size for name in (*wanted.needed, *wanted.lists)}})

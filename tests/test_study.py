@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fingerjax.errors import InputError
@@ -146,6 +146,7 @@ def test_ratios(folder):
 
 
 @given(st.from_regex(r"m[0-9]{5}", fullmatch=True), st.floats(1e-3, 1e3))
+@settings(deadline=None)
 def test_ratio_names(name, epidermis):
     moduli = ratio_moduli(name, epidermis)
     assert moduli["epidermis"] == epidermis
