@@ -17,14 +17,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.indentation import Contact, press
 from ..errors import InputError
-from ..fem.body import Body, Material, body
+from ..fem.body import Body, body
 from ..fem.columns import Columns, columns_from_matrix
 from ..fem.compliance import Compliance, compliance
 from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
 from ..geometry.presets import preset
-from ..geometry.sections import LayeredSolid, Sections, solid_from_sections
-from ..identify.problem import Health, Problem
+from ..geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
 from ..measure.afferent import rate, start
 from ..measure.receptor import QUANTITIES
 from ..measure.receptor import Receptor as ReceptorState
@@ -32,6 +31,7 @@ from ..measurements import Measurement
 from ..mesh import Resolution, build_finger
 from ..parameters import Parameter
 from ..study import Study
+from .problem import Health, Problem
 from .rigs import Rig, foci, lay, plans
 from .wiring import Prior, Values, Wiring, priors, wiring
 
@@ -70,7 +70,6 @@ class Model(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     lengths: tuple[int, ...] = eqx.field(static=True)
     receptor_layer: tuple[tuple[int, int], ...] = eqx.field(static=True)
-    row_labels: tuple[tuple[tuple[tuple[str, str], ...], ...], ...] = eqx.field(static=True)
 
     def condensed(self, values: Values) -> list[Compliance]:
         """One compliance for each material that the rows need."""
@@ -118,14 +117,169 @@ class Model(eqx.Module):
         return self._rate(rig, felt, values), felt
 
     def _rate(self, rig: Rig, felt: Array, values: Values) -> Array:
-        name = self.names[rig.measurement]
-        labels = self.row_labels[rig.measurement]
-        rows = [dict(labels[row]) for row in np.unique(np.asarray(labels_index(labels)))]
-        which = jnp.asarray(labels_index(labels))[rig.row]
-        index = {row: number for number, row in enumerate(np.unique(np.asarray(labels_index(labels))))}
-        slot = jnp.zeros(max(index) + 1, int).at[jnp.asarray(list(index))].set(jnp.asarray(list(index.values())))[which]
-        scale = jnp.stack([self.wired.value(f"{name}.scale", row, values) for row in rows])[slot]
-        threshold = jnp.stack([self.wired.value(f"{name}.threshold", row, values) for row in rows])[slot]
-        return rate(felt, scale, threshold)
+        name, labels = self.names[rig.measurement], [dict(each) for each in self.variants]
+        scale = jnp.stack([self.wired.value(f"{name}.scale", each, values) for each in labels])
+        threshold = jnp.stack([self.wired.value(f"{name}.threshold", each, values) for each in labels])
+        which = rig.variant[rig.case]
+        return rate(felt, scale[which], threshold[which])
 
 
+def pressed(rig: Rig, C: Float[Array, "variants m m"]) -> tuple[Contact, Float[Array, "cases m"]]:
+    """Every indentation of a rig, and every column's reading under it."""
+
+    def one(pose: Array, imposed: Array, variant: Array) -> tuple[Contact, Array]:
+        columns, matrix = rig.columns[pose], C[variant]
+        geometry = jax.tree.map(lambda leaf: leaf[pose], rig.interface)
+        between = matrix[columns[:, None], columns[None, :]]
+        contact = press(between, geometry, force=imposed) if rig.forced else press(between, geometry, travel=imposed)
+        return contact, matrix[:, columns] @ contact.nodal_forces
+
+    return jax.vmap(one)(rig.pose, rig.imposed, rig.variant)
+
+
+class Residuals(eqx.Module):
+    """(prediction - data) / sigma of every row, then one residual for each prior; a function of the raw free parameters."""
+
+    model: Model
+    data: tuple[Float[Array, " rows"], ...]
+    sigma: tuple[Float[Array, " rows"], ...]
+    priors: tuple[Prior, ...]
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
+
+    def __call__(self, raw: Float[Array, " p"]) -> tuple[Float[Array, " rows"], Health]:
+        values = {parameter.name: parameter.natural(raw[i]) for i, parameter in enumerate(self.parameters)}
+        prediction = self.model.predict(values)
+        rows = [(f - y) / s for f, y, s in zip(prediction.readings, self.data, self.sigma, strict=True)]
+        known = [jnp.atleast_1d((values[prior.name] - prior.mean) / prior.sd) for prior in self.priors]
+        return jnp.concatenate([*rows, *known]), prediction.health
+
+
+@dataclasses.dataclass(frozen=True)
+class Assembled:
+    """A study with its mesh and model: what runs, reports and notebooks work with."""
+
+    study: Study
+    solid: LayeredSolid
+    finger: Finger
+    model: Model
+
+    def predict(self, values: Values | None = None, quantity: str = "strain_energy_density") -> Prediction:
+        """All readings at these values, compiled."""
+        return _predict(self.model, {name: jnp.asarray(float(value)) for name, value in (values or {}).items()}, quantity)
+
+    def problem(self) -> Problem:
+        """The study's fit as least squares; afferents start from the best scale and threshold at the start moduli."""
+        noise = {one.name: noise_of(one) for one in self.study.measurements}
+        known = priors(self.study, self.model.wired)
+        parameters = self._started()
+        residuals = Residuals(
+            self.model,
+            tuple(jnp.asarray(one.measured) for one in self.study.measurements),
+            tuple(jnp.asarray(noise[one.name][0]) for one in self.study.measurements),
+            known,
+            parameters,
+        )
+        ends = np.cumsum([0, *(len(one) for one in self.study.measurements)])
+        blocks = {one.name: slice(int(a), int(b)) for one, a, b in zip(self.study.measurements, ends[:-1], ends[1:], strict=True)}
+        if known:
+            blocks["prior"] = slice(int(ends[-1]), int(ends[-1]) + len(known))
+        return Problem(parameters, residuals, blocks, {name: source for name, (_, source) in noise.items()})
+
+    def _started(self) -> tuple[Parameter, ...]:
+        rates = [(index, one) for index, one in enumerate(self.study.measurements) if one.kind == "spike_rate"]
+        if not rates:
+            return self.model.wired.free
+        felt = self.predict().quantity
+        begun = {}
+        for index, one in rates:
+            begun[f"{one.name}.scale"], begun[f"{one.name}.threshold"] = start(np.asarray(felt[index]), one.measured, 1 / noise_of(one)[0] ** 2)
+        return tuple(_begin(parameter, begun) for parameter in self.model.wired.free)
+
+
+def _begin(parameter: Parameter, begun: Mapping[str, float]) -> Parameter:
+    value = begun.get(parameter.path)
+    if value is None:
+        return parameter
+    return dataclasses.replace(parameter, value=float(np.clip(value, 10 * parameter.lower, 0.1 * parameter.upper)))
+
+
+@eqx.filter_jit
+def _predict(model: Model, values: dict[str, Array], quantity: str) -> Prediction:
+    return model.predict(values, quantity)
+
+
+def noise_of(measurement: Measurement) -> tuple[np.ndarray, str]:
+    """(rows,) standard deviations and where they come from: `stated`, pooled from `replicates`, or `assumed`."""
+    if measurement.sigma is not None:
+        return np.asarray(measurement.sigma, float), "stated"
+    pooled = _pooled(measurement)
+    if pooled is not None:
+        return np.full(len(measurement), pooled), "replicates"
+    return np.full(len(measurement), ASSUMED_NOISE * float(np.abs(measurement.measured).max())), "assumed"
+
+
+def _pooled(measurement: Measurement) -> float | None:
+    """Standard deviation within groups of rows that differ in their trial alone."""
+    if "trial" not in measurement.table:
+        return None
+    apart = (measurement.value, "trial", "sigma", "time")
+    keys = [np.unique(column, return_inverse=True)[1] for name, column in measurement.table.items() if name not in apart]
+    _, group = np.unique(np.column_stack(keys), axis=0, return_inverse=True)
+    count = np.bincount(group.reshape(-1))
+    mean = np.bincount(group.reshape(-1), measurement.measured) / count
+    freedom = int((count - 1).sum())
+    spread = float(np.sum((measurement.measured - mean[group.reshape(-1)]) ** 2))
+    return float(np.sqrt(spread / freedom)) if freedom >= 3 and spread > 0 else None
+
+
+def solid_of(study: Study) -> LayeredSolid:
+    """The study's fingertip before it is meshed."""
+    finger = study.finger
+    if finger.preset is not None:
+        solid = preset(finger.preset)
+        return solid if finger.nail is None else dataclasses.replace(solid, nail=Patch(finger.nail.z, finger.nail.theta))
+    assert finger.nail is not None and study.sections is not None  # the door has checked
+    return solid_from_sections(Sections.from_csv(study.sections), Patch(finger.nail.z, finger.nail.theta), study.name)
+
+
+def assemble(study: Study, *, solver: str = "auto") -> Assembled:
+    """Mesh a study's finger and lay its measurements out on it.
+
+    **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
+    outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
+    """
+    solid, wired = solid_of(study), wiring(study)
+    _check_labels(study, wired)
+    spacing = study.finger.resolution
+    planned = plans(study.measurements, solid, wired)
+    finger = build_finger(solid, Resolution(spacing.pad_mm, spacing.proximal_mm), foci(planned, solid, spacing.pad_mm))
+    elastic = study.model.bone_modulus() is not None
+    return lay_out(study, solid, finger, wired, solver, "elastic" if elastic else "rigid")
+
+
+def lay_out(study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, solver: str = "auto", bone: str = "rigid") -> Assembled:
+    """A study on a mesh that is already there."""
+    finger = finger.without_bone() if bone == "rigid" else finger
+    tissue = body(finger, bone=bone)
+    laid = lay(plans(study.measurements, solid, wired), finger, tissue, solid)
+    model = Model(
+        body=tissue,
+        solver=solver_for(tissue, solver),
+        columns=columns_from_matrix(laid.columns),
+        rigs=laid.rigs,
+        wired=wired,
+        variants=wired.variants(study.measurements),
+        names=tuple(one.name for one in study.measurements),
+        lengths=tuple(len(one) for one in study.measurements),
+        receptor_layer=tuple(laid.receptor_layer.items()),
+    )
+    return Assembled(study, solid, finger, model)
+
+
+def _check_labels(study: Study, wired: Wiring) -> None:
+    for owner, column in wired.per.items():
+        for one in study.measurements:
+            concerned = not owner.endswith((".scale", ".threshold")) or owner.startswith(f"{one.name}.")
+            if concerned and column not in one.table:
+                remedy = f"add the column, or take {owner} out of fit.per"
+                raise InputError(f"rows do not say their {column}, by which {owner} differs", file=one.file, place=column, remedy=remedy)

@@ -79,8 +79,7 @@ def site(solid: LayeredSolid, measurement: Measurement) -> tuple[float, float]:
     """(x, z), mm, of the point of the skin that a measurement is about: its own site, or the lowest point of the pad."""
     if measurement.site is not None:
         return skin_point(solid, measurement.site.z, measurement.site.theta)
-    z = np.linspace(0.0, solid.length, 400)[1:-1]
-    return 0.0, float(z[np.argmin(solid.pad_y(z))])
+    return skin_point(solid, solid.pad_centre, 1.5 * np.pi)
 
 
 def skin_point(solid: LayeredSolid, z: float, theta: float) -> tuple[float, float]:

@@ -20,7 +20,7 @@ RIGID_BONE = (1e3, 0.3)  # MPa and Poisson's ratio of a bone that is not meshed;
 Values = Mapping[str, Float[Array, ""] | float]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Wiring:
     """The free parameters of a study and the way to them from every row.
 
@@ -37,7 +37,8 @@ class Wiring:
     def name(self, name: str, labels: Mapping[str, str]) -> str:
         """The parameter that holds `name` for a row with these labels."""
         owner = self.owner[name]
-        return f"{owner}[{labels[self.per[owner]]}]" if owner in self.per else owner
+        column = self.per.get(owner)
+        return f"{owner}[{labels[column]}]" if column in labels else owner
 
     def value(self, name: str, labels: Mapping[str, str], values: Values) -> Float[Array, ""]:
         key = self.name(name, labels)
