@@ -302,6 +302,14 @@ class TableKeys(Strict):
     rows: list[dict[str, Any]] = []
     data: str | None = None
     controlled: Literal["displacement", "force"] = "displacement"
+    radii_mm: dict[str, list[Positive]] = {}
+
+    @model_validator(mode="after")
+    def _known_radii(self) -> TableKeys:
+        for name in self.radii_mm:
+            if name not in self.indenters:
+                raise InputError("no such indenter", place="radii_mm", seen=name, remedy=choose_from(name, self.indenters))
+        return self
 
     @model_validator(mode="after")
     def _one_source(self) -> TableKeys:

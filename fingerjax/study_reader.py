@@ -233,7 +233,8 @@ class StudyReader:
             with located(inner, "rows"):
                 table = inline_table(said.rows)
         with located(inner):
-            return ForceTable(_table_rows(Tidy(table), indenters), indenters, said.controlled)
+            radii = {name: tuple(values) for name, values in said.radii_mm.items()}
+            return ForceTable(_table_rows(Tidy(table), indenters), indenters, said.controlled, radii)
 
 
 def _table_rows(tidy: Tidy, indenters: Mapping[str, IndenterSpec]) -> tuple[TableRow, ...]:

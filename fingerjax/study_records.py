@@ -84,12 +84,13 @@ class TableRow:
 @dataclasses.dataclass(frozen=True)
 class ForceTable:
     """Options of `kind: table`: the rows, and the indenter of each name in them; `controlled` says what was
-    imposed.
+    imposed; `radii`, mm, are those at which an indenter of unknown radius is tried.
     """
 
     rows: tuple[TableRow, ...]
     indenters: dict[str, IndenterSpec]
     controlled: str
+    radii: dict[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

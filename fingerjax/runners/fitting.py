@@ -1,0 +1,109 @@
+"""Studies of kind `fit` and `predict`: find the free parameters, say how sure they are, and show every reading beside its data."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._results import RESULTS
+from ..forward import Assembled, Prediction, assemble
+from ..forward.model import noise_of
+from ..identify import Fit, Uncertainty, fit, sensitivity, uncertainty
+from ..layers import SOFT_LAYERS
+from ..report import figures, words
+from ..report.records import Context, Figure, StudyResult, Table, fit_record, mesh_record, misfit
+from ..report.tables import correlation_table, parameter_table, residual_table
+from ..study import Study
+from ._rows import drawn, rows
+
+PAPER_RATIO = 0.1  # dermis and deeper layers to epidermis: m43338, Dandekar et al. (2003), section 4.2
+
+
+def fit_study(study: Study, context: Context) -> StudyResult:
+    """Fit a study's free parameters to its measurements. A fit that is not settled leaves its reason and no value."""
+    context.tell(0.02, "meshing")
+    assembled = assemble(study)
+    context.tell(0.3, "first reading")
+    problem = assembled.problem()
+    found = fit(problem, progress=lambda step: context.tell(min(0.35 + 0.05 * step.step, 0.95), f"step {step.step}, chi2 {step.chi2:.4g}"))
+    known = uncertainty(found)
+    base = {
+        "name": study.name,
+        "title": study.notes.split(". ")[0] or f"Fit of {', '.join(one.name for one in study.measurements)}",
+        "verdict": words.verdict(found, known),
+        "result": found.result,
+        "warnings": words.warnings(found, known),
+        "notes": [study.notes] if study.notes else [],
+        "meshes": {assembled.solid.name: mesh_record(assembled.finger)},
+    }
+    if not found.settled:
+        return StudyResult(**base, fit=fit_record(found, known))
+    return _settled(study, assembled, found, known, base)
+
+
+def _settled(study: Study, assembled: Assembled, found: Fit, known: Uncertainty, base: dict) -> StudyResult:
+    sigma = {one.name: noise_of(one)[0] for one in study.measurements}
+    record = fit_record(found, known, misfit(found, sigma, {one.name: one.unit for one in study.measurements}))
+    seen = sensitivity(found, sigma)
+    predicted = {one.name: one.measured + found.rows(one.name) * sigma[one.name] for one in study.measurements}
+    tables = [parameter_table(known, seen), residual_table(record), correlation_table(known)]
+    tables += _ratios(assembled, found, known)
+    pictures = [picture for one in study.measurements if (picture := drawn(one, rows(one, predicted[one.name], sigma[one.name])))]
+    return StudyResult(**base, fit=record, tables=[table for table in tables if table.rows], figures=[*pictures, *_about(found, record)])
+
+
+def _about(found: Fit, record: dict) -> list[Figure]:
+    several = [figures.correlations(record["correlations"])] if len(found.problem.parameters) > 1 else []
+    return [*several, figures.fit_path([{"step": s.step, "chi2": s.chi2, "gradient": s.gradient, "accepted": s.accepted} for s in found.history])]
+
+
+def _ratios(assembled: Assembled, found: Fit, known: Uncertainty) -> list[Table]:
+    """Moduli of the soft layers over the epidermis's, with 95 % intervals, beside the paper's ten to one."""
+    wired, names = assembled.model.wired, [parameter.name for parameter in found.problem.parameters]
+    if wired.per or not {wired.owner[f"{layer}.modulus"] for layer in SOFT_LAYERS} & set(names):
+        return []
+    values = {one.name: one.value for one in known.estimates}
+    log = np.array([[_log_slope(wired.owner[f"{layer}.modulus"], name) for name in names] for layer in SOFT_LAYERS])
+    modulus = np.array([values.get(wired.owner[f"{layer}.modulus"], wired.fixed[wired.owner[f"{layer}.modulus"]]) for layer in SOFT_LAYERS])
+    weights = log - log[0]
+    spread = known.t * np.sqrt(np.maximum(np.einsum("lp,pq,lq->l", weights, known.covariance, weights), 0.0))
+    tidy = [
+        {
+            "layer": layer,
+            "ratio_to_epidermis": float(modulus[i] / modulus[0]),
+            "lower": float(modulus[i] / modulus[0] * np.exp(-spread[i])),
+            "upper": float(modulus[i] / modulus[0] * np.exp(spread[i])),
+            "paper": 1.0 if i == 0 else PAPER_RATIO,
+        }
+        for i, layer in enumerate(SOFT_LAYERS)
+    ]
+    return [Table("layer_ratios", "Layer moduli over the epidermis's, beside the paper's m43338", tidy)]
+
+
+def _log_slope(owner: str, name: str) -> float:
+    return 1.0 if owner == name else 0.0
+
+
+def predict_study(study: Study, context: Context) -> StudyResult:
+    """Read every instrument at the study's own values, beside what was measured."""
+    context.tell(0.02, "meshing")
+    assembled = assemble(study)
+    context.tell(0.4, "reading")
+    prediction = assembled.predict()
+    healthy = bool(prediction.health.converged)
+    base = {"name": study.name, "title": "Prediction", "meshes": {assembled.solid.name: mesh_record(assembled.finger)}}
+    if not healthy:
+        why = complaint(prediction)
+        return StudyResult(**base, verdict=f"Not converged: {why.value}", result=RESULTS.not_converged, warnings=[why.value])
+    tidy = [rows(one, np.asarray(prediction.readings[i]), noise_of(one)[0]) for i, one in enumerate(study.measurements)]
+    tables = [Table(one.name, f"{one.name}: measured and predicted", each) for one, each in zip(study.measurements, tidy, strict=True)]
+    pictures = [drawn(one, each) for one, each in zip(study.measurements, tidy, strict=True)]
+    return StudyResult(**base, verdict="Predicted at the study's own values; nothing was fitted.", tables=tables, figures=[p for p in pictures if p])
+
+
+def complaint(prediction: Prediction) -> RESULTS:
+    """What went wrong in a prediction, most basic first; `successful` where nothing did."""
+    if not bool(prediction.converged):
+        return RESULTS.not_converged
+    if not bool(prediction.settled):
+        return RESULTS.contact_did_not_settle
+    return RESULTS.successful if bool(prediction.inside) else RESULTS.contact_reached_edge

@@ -1,0 +1,168 @@
+"""Studies of kind `table`: the epidermal modulus behind each measured force, as in Tables 1 and 2 of Dandekar et al. (2003).
+
+With the ratios between the layers held, a linear body under frictionless contact at a given travel pushes back in proportion to its
+modulus, so each row is answered in one reading of the model, and no start value or step matters:
+
+    E = E_model * measured force / force of the model at the measured travel
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from .._results import RESULTS
+from ..forward import Assembled, assemble
+from ..indenter_spec import IndenterSpec
+from ..measurements import Measurement
+from ..report import figures
+from ..report.records import Context, Figure, Row, StudyResult, Table, mesh_record
+from ..report.tables import beside_paper, mean_and_sd
+from ..study import ForceTable, Study, TableRow
+from ..units import to_internal
+from .fitting import complaint
+
+GRAM_FORCE = float(to_internal(1.0, "gf", "force"))  # N
+PAPER_POINT_SLOPE = 0.0523  # MPa/gf: epidermal modulus over force of every point row of the paper's Table 1
+PAPER_PLATE_OVER_POINT = 5.7  # the plate's force over the point's for one modulus, from the same rows
+
+
+def force_table(study: Study, context: Context) -> StudyResult:
+    """Re-identify a table of forces row by row on this mesh, beside the published moduli."""
+    table = study.options
+    assert isinstance(table, ForceTable)
+    context.tell(0.02, "meshing")
+    assembled = assemble(dataclasses.replace(study, measurements=_measurements(table)))
+    context.tell(0.5, "pressing")
+    prediction = assembled.predict()
+    why = complaint(prediction)
+    base = {"name": study.name, "title": study.notes.split(". ")[0] or "Moduli from forces", "notes": [study.notes]}
+    base["meshes"] = {assembled.solid.name: mesh_record(assembled.finger)}
+    if why is not RESULTS.successful:
+        verdict = f"Not converged: {why.value} No modulus is reported."
+        return StudyResult(**base, verdict=verdict, result=RESULTS.not_converged, warnings=[why.value])
+    forces = {one.name: np.asarray(reading) for one, reading in zip(assembled.study.measurements, prediction.readings, strict=True)}
+    return _result(base, table, forces, assembled)
+
+
+def _measurements(table: ForceTable) -> tuple[Measurement, ...]:
+    """The indentations of the table, and those of every radius that is tried at the travel of the first row of its indenter."""
+    found = [_pressed(name, spec, [row for row in table.rows if row.indenter == name]) for name, spec in table.indenters.items()]
+    for name, radii in table.radii.items():
+        first = next(row for row in table.rows if row.indenter == name)
+        found += [_pressed(_tip(name, radius), _with_radius(table.indenters[name], radius), [first]) for radius in radii]
+    return tuple(one for one in found if len(one))
+
+
+def _pressed(name: str, spec: IndenterSpec, rows: list[TableRow]) -> Measurement:
+    columns = {"displacement": np.array([row.displacement for row in rows]), "force": np.array([row.force for row in rows])}
+    return Measurement(name, "force_displacement", columns, "force", None, {"": spec}, "displacement", "z", None, None)
+
+
+def _tip(name: str, radius: float) -> str:
+    return f"{name}@{radius:g}"
+
+
+def _with_radius(spec: IndenterSpec, radius: float) -> IndenterSpec:
+    share = spec.dimensions.get("edge_radius", 0.0) / spec.dimensions["radius"]
+    return dataclasses.replace(spec, dimensions={**spec.dimensions, "radius": radius, "edge_radius": share * radius})
+
+
+def _result(base: dict, table: ForceTable, forces: dict[str, np.ndarray], assembled: Assembled) -> StudyResult:
+    modulus = assembled.model.wired.fixed["epidermis.modulus"]
+    ours, labels, slopes = [], [], []
+    for name in table.indenters:
+        rows = [row for row in table.rows if row.indenter == name]
+        for row, force in zip(rows, forces.get(name, ()), strict=True):
+            ours.append(modulus * row.force / float(force))
+            slopes.append(modulus / float(force) * GRAM_FORCE)
+            labels.append({"indenter": name, "subject": row.subject, "force_gf": row.force / GRAM_FORCE, "displacement_mm": row.displacement})
+    paper = [row.modulus for name in table.indenters for row in table.rows if row.indenter == name]
+    beside = beside_paper(labels, ours, paper)
+    for row, slope in zip(beside, slopes, strict=True):
+        row["our_slope_MPa_per_gf"] = slope
+        row["paper_slope_MPa_per_gf"] = None if row["paper_epidermis_modulus_MPa"] is None else row["paper_epidermis_modulus_MPa"] / row["force_gf"]
+    means = mean_and_sd(beside, group="indenter")
+    tips = _tips(table, forces, modulus)
+    tables = [Table("moduli", "Epidermal modulus behind each force", beside), Table("means", "Mean and standard deviation", means)]
+    growth = _growth(table, forces)
+    tables += [Table("growth", "How the model's force grows with travel", growth)] if growth else []
+    tables += [Table("tip_radius", "What the radius of the tip does", tips)] if tips else []
+    verdict, notes = _verdict(means, beside), [*base.pop("notes"), *_tip_notes(tips)]
+    return StudyResult(**base, verdict=verdict, tables=tables, figures=_figures(beside, tips), notes=notes)
+
+
+def _tips(table: ForceTable, forces: dict[str, np.ndarray], modulus: float) -> list[Row]:
+    """Modulus over force at each radius, and the plate's force over the tip's where a plate is pressed to the same travel."""
+    found = []
+    for name, radii in table.radii.items():
+        first = next(row for row in table.rows if row.indenter == name)
+        plate = _plate_force(table, forces, first.displacement)
+        for radius in radii:
+            force = float(forces[_tip(name, radius)][0])
+            row: Row = {"radius_mm": radius, "slope_MPa_per_gf": modulus / force * GRAM_FORCE}
+            found.append(row if plate is None else {**row, "ratio": plate / force})
+    return found
+
+
+def _plate_force(table: ForceTable, forces: dict[str, np.ndarray], travel: float) -> float | None:
+    for name, spec in table.indenters.items():
+        rows = [row for row in table.rows if row.indenter == name]
+        if spec.shape == "flat_plate":
+            return next((float(f) for row, f in zip(rows, forces[name], strict=True) if row.displacement == travel), None)
+    return None
+
+
+def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float | None:
+    """Where a curve through points, straight in logarithms, crosses a level; None where it does not."""
+    lx, ly = np.log(x), np.log(y) - np.log(level)
+    change = np.flatnonzero(ly[:-1] * ly[1:] <= 0)
+    if len(change) == 0:
+        return None
+    i = change[0]
+    return float(np.exp(lx[i] - ly[i] * (lx[i + 1] - lx[i]) / (ly[i + 1] - ly[i])))
+
+
+def _tip_notes(tips: list[Row]) -> list[str]:
+    if not tips:
+        return []
+    radius = np.array([row["radius_mm"] for row in tips])
+    found = [("the paper's 0.0523 MPa/gf", crossing(radius, np.array([row["slope_MPa_per_gf"] for row in tips]), PAPER_POINT_SLOPE))]
+    if "ratio" in tips[0]:
+        found.append(("a plate:point force ratio of 5.7", crossing(radius, np.array([row["ratio"] for row in tips]), PAPER_PLATE_OVER_POINT)))
+    span = f"{radius.min():g} to {radius.max():g} mm"
+    return [f"A tip of radius {at:.2f} mm gives {what}." if at else f"No radius from {span} gives {what}." for what, at in found]
+
+
+def _growth(table: ForceTable, forces: dict[str, np.ndarray]) -> list[Row]:
+    """Exponent of the model's force in travel between the smallest and the largest travel of an indenter."""
+    found = []
+    for name in table.indenters:
+        travel = np.array([row.displacement for row in table.rows if row.indenter == name])
+        if len(travel) and np.ptp(travel) > 0.05 * travel.max():
+            low, high = np.argmin(travel), np.argmax(travel)
+            exponent = np.log(forces[name][high] / forces[name][low]) / np.log(travel[high] / travel[low])
+            found.append({"indenter": name, "from_mm": float(travel[low]), "to_mm": float(travel[high]), "exponent": float(exponent)})
+    return found
+
+
+def _verdict(means: list[Row], beside: list[Row]) -> str:
+    all_rows = means[0]
+    told = f"Epidermal modulus {all_rows['our_mean_epidermis_modulus_MPa']:.3g} MPa (SD {all_rows['our_sd_epidermis_modulus_MPa']:.2g}, {len(beside)} rows)"
+    theirs = all_rows["paper_mean_epidermis_modulus_MPa"]
+    if theirs is None:
+        return f"{told}."
+    off = all_rows["our_mean_epidermis_modulus_MPa"] / theirs
+    return f"{told}; the paper found {theirs:.3g} (SD {all_rows['paper_sd_epidermis_modulus_MPa']:.2g}): ours is {off:.2f} times that."
+
+
+def _figures(beside: list[Row], tips: list[Row]) -> list[Figure]:
+    bars = [
+        {"name": f"{row['indenter']} {row['subject']}", "value_MPa": row["our_epidermis_modulus_MPa"], "paper_MPa": row["paper_epidermis_modulus_MPa"]}
+        for row in beside
+    ]
+    drawn = [figures.moduli(bars, caption="Epidermal modulus of each row, ours beside the paper's.")]
+    if tips and "ratio" in tips[0]:
+        drawn.append(figures.tip_radius(tips, PAPER_POINT_SLOPE, PAPER_PLATE_OVER_POINT))
+    return drawn
