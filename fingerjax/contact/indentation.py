@@ -1,0 +1,82 @@
+"""Press a rigid indenter into a linear body: from condensed compliance and contact geometry to pressure, force and travel."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from fingerjax.contact.complementarity import complementary, held
+from fingerjax.contact.pad import Interface
+
+
+class Contact(eqx.Module):
+    """An indenter at rest on the skin.
+
+    `pressure` (k,) in MPa, one for each hat; `nodal_forces` (p,) in N along +y on the pad nodes; `force` in N; `travel` in mm from
+    first contact; `area` in mm^2, in the x-z plane; `peak_pressure` in MPa; `active` (k,) hats in contact; `gap` (k,) mean gap in
+    mm over each hat; `steps` solves; `settled`, whether contact was decided; `reached_edge`, whether a hat on the border of the pad
+    bears pressure, so that a larger pad is needed.
+    """
+
+    pressure: Float[Array, " k"]
+    nodal_forces: Float[Array, " p"]
+    force: Float[Array, ""]
+    travel: Float[Array, ""]
+    area: Float[Array, ""]
+    peak_pressure: Float[Array, ""]
+    active: Bool[Array, " k"]
+    gap: Float[Array, " k"]
+    steps: Int[Array, ""]
+    settled: Bool[Array, ""]
+    reached_edge: Bool[Array, ""]
+
+
+def press(
+    compliance_pp: Float[Array, "p p"],
+    interface: Interface,
+    *,
+    travel: Float[Array, ""] | float | None = None,
+    force: Float[Array, ""] | float | None = None,
+    start: Bool[Array, " k"] | None = None,
+    glued: bool = False,
+    max_steps: int = 500,
+) -> Contact:
+    """Press to a `travel` in mm from first contact, or with a `force` in N (exactly one of the two).
+
+    `compliance_pp` in mm/N takes forces along +y on the pad nodes to their displacements along +y. `start` is the active set of a
+    neighbouring contact. With `glued` the displacement is prescribed wherever the undeformed skin would be overlapped, as under a
+    line of prescribed displacement; travel must then be given.
+
+    **Raises:** `ValueError` unless exactly one of travel and force is given.
+    """
+    if (travel is None) == (force is None) or (glued and travel is None):
+        raise ValueError("give press() either travel= or force=, and travel= when glued")
+    present = interface.area > 0
+    area = jnp.where(present, interface.area, 1.0)
+    # Unknowns are hat forces and mean gaps: newtons and millimetres, whatever the size of a hat.
+    load = interface.load / area
+    compliance = load.T @ compliance_pp @ load
+    compliance = 0.5 * (compliance + compliance.T)
+    overlap = jnp.where(present, interface.overlap / area, -1e3)
+    if glued:
+        found = held(compliance, overlap, travel)
+    else:
+        travel, force = (None if value is None else jnp.asarray(value, float) for value in (travel, force))
+        found = complementary(
+            compliance, overlap, present, travel=travel, force=force, start=start, max_steps=max_steps
+        )
+    pressure = found.force / area
+    return Contact(
+        pressure=pressure,
+        nodal_forces=load @ found.force,
+        force=jnp.sum(found.force),
+        travel=found.travel,
+        area=jnp.sum(jnp.where(found.active, interface.area, 0.0)),
+        peak_pressure=jnp.max(pressure),
+        active=found.active,
+        gap=found.gap,
+        steps=found.steps,
+        settled=found.settled,
+        reached_edge=jnp.any(found.active & interface.rim),
+    )
