@@ -14,7 +14,7 @@ class Contact(eqx.Module):
     """An indenter at rest on the skin.
 
     `pressure` (k,) in MPa, one for each hat; `nodal_forces` (p,) in N along +y on the pad nodes; `force` in N; `travel` in mm from
-    first contact; `area` in mm^2, in the x-z plane; `peak_pressure` in MPa; `active` (k,) hats in contact; `gap` (k,) mean gap in
+    first contact; `area` in mm^2, in the x-z plane, smooth in the travel; `peak_pressure` in MPa; `active` (k,) hats in contact; `gap` (k,) mean gap in
     mm over each hat; `steps` solves; `settled`, whether contact was decided; `reached_edge`, whether a hat on the border of the pad
     bears pressure, so that a larger pad is needed.
     """
@@ -72,7 +72,7 @@ def press(
         nodal_forces=load @ found.force,
         force=jnp.sum(found.force),
         travel=found.travel,
-        area=jnp.sum(jnp.where(found.active, interface.area, 0.0)),
+        area=_area(interface, jnp.where(present, (found.force - found.gap / jnp.diagonal(compliance)) / area, jnp.nan)),
         peak_pressure=jnp.max(pressure),
         active=found.active,
         gap=found.gap,
@@ -80,3 +80,32 @@ def press(
         settled=found.settled,
         reached_edge=jnp.any(found.active & interface.rim),
     )
+
+
+def _area(interface: Interface, pull: Float[Array, " k"]) -> Float[Array, ""]:
+    """Area in mm^2 in contact: where the piecewise linear function through `pull` is positive.
+
+    `pull` is a hat's pressure where it touches and, where it does not, minus the pressure that would close its gap: it grows with
+    travel through 0 as a hat comes into contact, so the area changes smoothly. NaN marks a hat that is off the indenter; the skin
+    beside it goes with its neighbours.
+    """
+    at = pull[interface.pieces]
+    at = jnp.where(jnp.isnan(at), jnp.max(jnp.where(jnp.isnan(at), -jnp.inf, at), axis=1, keepdims=True), at)
+    at = jnp.where(jnp.isfinite(at), at, -1.0)
+    return jnp.sum(interface.covered * (_positive_length(at) if at.shape[1] == 2 else _positive_area(at)))
+
+
+def _positive_length(at: Float[Array, "r 2"]) -> Float[Array, " r"]:
+    """Share of a segment on which a linear function with these end values is positive."""
+    high, low = jnp.max(at, axis=1), jnp.min(at, axis=1)
+    mixed = (high > 0) & (low < 0)
+    return jnp.where(mixed, high / jnp.where(mixed, high - low, 1.0), jnp.where(low >= 0, jnp.where(high > 0, 1.0, 0.0), 0.0))
+
+
+def _positive_area(at: Float[Array, "r 3"]) -> Float[Array, " r"]:
+    """Share of a triangle on which a linear function with these corner values is positive."""
+    low, middle, high = jnp.sort(at, axis=1).T
+    one, two = (middle <= 0) & (high > 0), (low < 0) & (middle > 0)
+    tip = high * high / jnp.where(one, (high - low) * (high - middle), 1.0)
+    missing = low * low / jnp.where(two, (high - low) * (middle - low), 1.0)
+    return jnp.where(one, tip, jnp.where(two, 1.0 - missing, jnp.where((low >= 0) & (high > 0), 1.0, 0.0)))
