@@ -10,6 +10,11 @@ from fingerjax.contact.complementarity import complementary, held
 from fingerjax.contact.pad import Interface
 
 
+# Share of the force that would close a hat's gap, at which area is read off: with it Hertz's contact radius on 2 to 5 facet edges is
+# right to 1 % wherever the mesh lies (1 would put it an eighth of an edge too small).
+CLOSING = 0.45
+
+
 class Contact(eqx.Module):
     """An indenter at rest on the skin.
 
@@ -67,12 +72,13 @@ def press(
             compliance, overlap, present, travel=travel, force=force, start=start, max_steps=max_steps
         )
     pressure = found.force / area
+    pull = found.force - CLOSING * found.gap / jnp.where(present, jnp.diagonal(compliance), 1.0)
     return Contact(
         pressure=pressure,
         nodal_forces=load @ found.force,
         force=jnp.sum(found.force),
         travel=found.travel,
-        area=_area(interface, jnp.where(present, (found.force - found.gap / jnp.diagonal(compliance)) / area, jnp.nan)),
+        area=_area(interface, jnp.where(present, pull / area, jnp.nan)),
         peak_pressure=jnp.max(pressure),
         active=found.active,
         gap=found.gap,
@@ -85,7 +91,7 @@ def press(
 def _area(interface: Interface, pull: Float[Array, " k"]) -> Float[Array, ""]:
     """Area in mm^2 in contact: where the piecewise linear function through `pull` is positive.
 
-    `pull` is a hat's pressure where it touches and, where it does not, minus the pressure that would close its gap: it grows with
+    `pull` is a hat's pressure where it touches and, where it does not, minus a share of the pressure that would close its gap: it grows with
     travel through 0 as a hat comes into contact, so the area changes smoothly. NaN marks a hat that is off the indenter; the skin
     beside it goes with its neighbours.
     """

@@ -163,10 +163,14 @@ class Bar(AbstractIndenter):
 
 
 class Grating(AbstractIndenter):
-    """Equal ridges in a row, one of them centred on the origin; the grooves are deeper than skin reaches."""
+    """Ridges with grooves between them that are deeper than skin reaches, a ridge centred on the origin.
 
-    ridge: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    groove: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    With one `ridge` and one `groove` width they repeat without end; with (n,) ridges and (n - 1,) grooves they follow one another
+    towards +s, the first ridge on the origin.
+    """
+
+    ridge: Float[Array, "*n"] = eqx.field(converter=jnp.asarray)
+    groove: Float[Array, "*m"] = eqx.field(converter=jnp.asarray)
     edge_radius: Float[Array, ""] = eqx.field(default=0.0, converter=jnp.asarray)
     along: Axis = eqx.field(default="x", static=True)
 
@@ -175,19 +179,24 @@ class Grating(AbstractIndenter):
         _positive(self, "groove")
         _axis(self.along)
 
-    def _from_ridge(self, x, z):
-        s, period = _across(self.along, x, z), self.ridge + self.groove
-        return jnp.abs(s - period * jax.lax.stop_gradient(jnp.round(s / period)))
+    def _past_edge(self, x, z):
+        """Distance past the nearest ridge's side, negative on a ridge."""
+        s = _across(self.along, x, z)
+        if self.ridge.ndim == 0:
+            period = self.ridge + self.groove
+            return jnp.abs(s - period * jax.lax.stop_gradient(jnp.round(s / period))) - 0.5 * self.ridge
+        centre = jnp.concatenate([jnp.zeros(1), jnp.cumsum(0.5 * (self.ridge[:-1] + self.ridge[1:]) + self.groove)])
+        return jnp.min(jnp.abs(s[..., None] - centre) - 0.5 * self.ridge, axis=-1)  # ... points, ridges
 
     def surface(self, x, z):
-        return -_drop(self._from_ridge(x, z) - (0.5 * self.ridge - self.edge_radius), self.edge_radius)
+        return -_drop(self._past_edge(x, z) + self.edge_radius, self.edge_radius)
 
     def margin(self, x, z):
-        return _reach(0.5 * self.ridge, self.edge_radius) - self._from_ridge(x, z)
+        return _reach(0.0, self.edge_radius) - self._past_edge(x, z)
 
     @property
     def feature(self) -> float | None:
-        return _smallest(self.ridge, self.groove, self.edge_radius)
+        return None if _traced(self.ridge, self.groove) else _smallest(*map(np.min, (self.ridge, self.groove)), self.edge_radius)
 
 
 class Step(AbstractIndenter):
@@ -308,7 +317,7 @@ def from_spec(
     shape: str,
     dimensions: Mapping[str, float],
     along: str = "x",
-    table: tuple[Sequence[float], Sequence[float]] | None = None,
+    lists: Mapping[str, Sequence[float]] | None = None,
 ) -> AbstractIndenter:
     """The indenter that a sidecar names.
 
@@ -317,28 +326,25 @@ def from_spec(
     - `shape`: one of `SHAPES`.
     - `dimensions`: its lengths in mm by name, without units (`radius`, `width`, `edge_radius`, `amplitude`, ...).
     - `along`: "x" or "z", the axis on which a swept shape's height does not change; round shapes ignore it.
-    - `table`: position and height in mm, for `profile` only.
+    - `lists`: `position` and `height` of a profile, or `ridge` and `groove` of a grating that does not repeat, in mm.
 
     **Raises:** `InputError` for an unknown shape, an unknown, missing or impossible dimension.
     """
     if shape not in SHAPES:
         raise InputError("unknown indenter shape", place="shape", seen=shape, remedy=f"use one of {', '.join(SHAPES)}")
     kind, required, optional = SHAPES[shape]
-    for name in dimensions:
+    said: dict[str, object] = {name: float(value) for name, value in dimensions.items()}
+    said.update({name: np.asarray(values, float) for name, values in (lists or {}).items()})
+    for name in said:
         if name not in required + optional:
             allowed = ", ".join(required + optional) or "no dimensions"
             raise InputError(f"a {shape} has no such dimension", place=name, remedy=f"it takes {allowed}")
     for name in required:
-        if name not in dimensions:
-            raise InputError(f"a {shape} needs its {name}", place=name, remedy=f"add {name}_mm")
-    arguments: dict[str, object] = {name: float(value) for name, value in dimensions.items()}
-    if shape in SWEPT:
-        arguments["along"] = along
+        if name not in said:
+            raise InputError(f"a {shape} needs its {name}", place=name, remedy=f"add {name}")
     if shape == "profile":
-        if table is None:
-            raise InputError("a profile needs its table", place="profile", remedy="name a CSV of height against position")
-        arguments["position"], arguments["elevation"] = (np.asarray(column, float) for column in table)
-    return kind(**arguments)
+        said["elevation"] = said.pop("height")
+    return kind(**said, along=along) if shape in SWEPT else kind(**said)
 
 
 SHAPES: dict[str, tuple[Callable[..., AbstractIndenter], tuple[str, ...], tuple[str, ...]]] = {
@@ -351,14 +357,14 @@ SHAPES: dict[str, tuple[Callable[..., AbstractIndenter], tuple[str, ...], tuple[
     "cylinder": (Cylinder, ("radius",), ()),
     "flat_cylinder": (FlatCylinder, ("radius",), ("edge_radius",)),
     "grating": (Grating, ("ridge", "groove"), ("edge_radius",)),
-    "profile": (Profile, (), ()),
+    "profile": (Profile, ("position", "height"), ()),
 }
 SWEPT = ("line", "bar", "step", "cylinder", "grating", "profile")
 
 
 def _across(along: Axis, x, z):
     """The coordinate on which a shape swept along `along` changes."""
-    return z + 0.0 * x if along == "x" else x + 0.0 * z
+    return jnp.asarray(z + 0.0 * x if along == "x" else x + 0.0 * z)
 
 
 def _distance(x, z):
