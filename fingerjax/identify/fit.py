@@ -33,9 +33,9 @@ from fingerjax.parameters import Parameter
 DAMPING = 1e-3  # first Levenberg-Marquardt parameter, in units of the squared column lengths (Marquardt 1963)
 LARGEST_CHANGE = 3.0  # of a log or logit parameter in one step: a factor of twenty
 LAST_LOGIT = 11.5  # raw limits of a logit parameter: 1e-5 of its span from either end
-PERFECT = 1e-4  # residuals of this many sigma count as perfect: a smaller one is not worth a step
+PERFECT = 1e-3  # residuals of this many sigma count as perfect: a smaller one is not worth a step
 NEAR = 1e-3  # standard errors from the optimum at which a fit that cannot go on counts as arrived
-REFUSED = 8  # failed evaluations in a row after which a fit gives up
+REFUSED = 10  # failed evaluations in all after which a fit gives up
 
 
 class Health(eqx.Module):
@@ -375,7 +375,7 @@ class _Record:
         return relative_gradient(point.residual, point.jacobian[:, ~self.box.held(point)])
 
     def note(self, point: _Point, accepted: bool, seconds: float) -> None:
-        self.refused = 0 if point.usable else self.refused + 1
+        self.refused += not point.usable
         gradient = self.slope_at(point) if point.usable else math.nan
         self.history.append(Step(self.steps, point.chi2, gradient, accepted, seconds))
         if self.progress is not None:
@@ -472,7 +472,7 @@ def _descend(
         trial, accepted = _judge(record, walk, point)
         record.note(point, accepted, time.perf_counter() - clock)
         if record.refused == REFUSED:
-            return record.end(RESULTS.not_converged, _failure(f"at {REFUSED} trial points in a row", point))
+            return record.end(RESULTS.not_converged, _failure(f"at {REFUSED} trial points", point))
         if _stalled(record, trial):
             return _at_a_stand(record)
     return record.end(RESULTS.successful, f"optimum after {record.steps} steps")
