@@ -1,0 +1,220 @@
+"""What a laboratory says about its indenter: a shape, its dimensions in mm, and which way it lies.
+
+| shape | dimensions (optional ones in brackets) |
+|---|---|
+| `line` | a sharp wedge: [`width_mm`, 0.05: the experiments' wedge] |
+| `point` | a flat-ended probe: `radius_mm` [`edge_radius_mm`] |
+| `flat_plate` | none: larger than the pad |
+| `bar` | `width_mm` [`edge_radius_mm`] |
+| `step` | two flats joined by half a sinusoid: `amplitude_mm`, `wavelength_mm` |
+| `sphere` | `radius_mm` |
+| `cylinder` | lying on its side: `radius_mm` |
+| `flat_cylinder` | standing on its end: `radius_mm` [`edge_radius_mm`] |
+| `grating` | `ridge_mm`, `groove_mm`: numbers if it repeats, else lists, one groove fewer [`edge_radius_mm`] |
+| `profile` | `data`: a CSV of `height_mm` against `position_mm` |
+
+Shapes that lie along an axis take `along: x` (across the finger) or `along: z`; `across:` a remark means
+along x.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from .csvfile import read_table
+from .errors import InputError
+from .spelling import choose_from
+from .tidy import Tidy
+from .units import split_unit, to_internal
+
+
+@dataclasses.dataclass(frozen=True)
+class _Shape:
+    needed: tuple[str, ...] = ()
+    optional: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    lists: tuple[str, ...] = ()  # needed too: a number, or a list
+    lies_along: bool = False
+    has_data: bool = False
+
+    def keys(self) -> list[str]:
+        lengths = [f"{name}_mm" for name in (*self.needed, *self.lists, *self.optional)]
+        ways = ["along", "axis", "across"] if self.lies_along else []
+        return ["shape", *lengths, *(["data"] if self.has_data else []), *ways]
+
+
+SHAPES: dict[str, _Shape] = {
+    "line": _Shape(optional={"width": 0.05}, lies_along=True),
+    "point": _Shape(("radius",), {"edge_radius": 0.0}),
+    "flat_plate": _Shape(),
+    "bar": _Shape(("width",), {"edge_radius": 0.0}, lies_along=True),
+    "step": _Shape(("amplitude", "wavelength"), lies_along=True),
+    "sphere": _Shape(("radius",)),
+    "cylinder": _Shape(("radius",), lies_along=True),
+    "flat_cylinder": _Shape(("radius",), {"edge_radius": 0.0}),
+    "grating": _Shape(optional={"edge_radius": 0.0}, lists=("ridge", "groove"), lies_along=True),
+    "profile": _Shape(lies_along=True, has_data=True),
+}
+_CAN_BE_ZERO = ("edge_radius",)
+
+
+@dataclasses.dataclass(frozen=True)
+class IndenterSpec:
+    """A rigid indenter as it was described.
+
+    - `shape`: a key of `SHAPES`.
+    - `dimensions`: mm, by name without unit: `radius`, `edge_radius`, `width`, ...; optional ones are filled
+      in.
+    - `along`: `x` or `z`, the axis that the shape is the same along; empty for a shape without one.
+    - `lists`: mm; `ridge` and `groove` of a grating that does not repeat, its first ridge centred on the
+      origin;
+      `position` and `height` of a profile.
+    """
+
+    shape: str
+    dimensions: dict[str, float] = dataclasses.field(default_factory=dict)
+    along: str = ""
+    lists: dict[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
+
+
+def read_indenter(said: Any, *, direction: str = "z", folder: Path = Path(".")) -> IndenterSpec:
+    """Check what was written under `indenter:`.
+
+    **Arguments:**
+
+    - `said`: the keys and values, or a shape's name alone.
+    - `direction`: `x` or `z`, along which distances and shifts are counted; a shape lies along the other one
+      unless it
+      says so.
+    - `folder`: what the path of a profile's CSV is relative to.
+
+    **Raises** `InputError` naming the key: unknown shape or key (with the nearest), a dimension missing, not
+    positive, or
+    larger than it can be, a unit that is no length, a grating whose lists do not fit.
+    """
+    said = {"shape": said} if isinstance(said, str) else said
+    if not isinstance(said, Mapping) or "shape" not in said:
+        raise InputError(
+            "the indenter has no shape", seen=said, remedy=f"write shape: one of {', '.join(SHAPES)}"
+        )
+    name = str(said["shape"])
+    if name not in SHAPES:
+        raise InputError("unknown indenter shape", place="shape", seen=name, remedy=choose_from(name, SHAPES))
+    shape = SHAPES[name]
+    lengths = _lengths(name, shape, said)
+    along = _along(said, direction) if shape.lies_along else ""
+    lists = {key: _list(*lengths[key]) for key in shape.lists if key in lengths and _is_list(lengths[key][2])}
+    spec = IndenterSpec(name, _dimensions(shape, lengths), along, lists)
+    _check_complete(shape, spec)
+    _check_fit(spec)
+    return dataclasses.replace(spec, lists=_profile(said, folder)) if shape.has_data else spec
+
+
+def _lengths(name: str, shape: _Shape, said: Mapping[str, Any]) -> dict[str, tuple[str, str, Any]]:
+    """Every dimension written: name -> (key as written, unit, value)."""
+    found = {}
+    dimensions = (*shape.needed, *shape.lists, *shape.optional)
+    for key, value in said.items():
+        base, unit = split_unit(str(key))
+        if base in dimensions:
+            to_internal(1.0, unit, "length", str(key))
+            found[base] = (str(key), str(unit), value)
+        elif key not in shape.keys():
+            remedy = choose_from(key, shape.keys())
+            raise InputError(f"unknown key for the indenter {name!r}", place=str(key), remedy=remedy)
+    return found
+
+
+def _length(key: str, unit: str, value: Any, *, zero: bool = False) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError("not a number", place=key, seen=value, remedy="write one number")
+    if not (0 <= value < float("inf")) or (value == 0 and not zero):
+        remedy = "write a length of 0 or more" if zero else "write a length above 0"
+        raise InputError("an indenter cannot have this dimension", place=key, seen=value, remedy=remedy)
+    return float(to_internal(value, unit, "length", key))
+
+
+def _dimensions(shape: _Shape, lengths: Mapping[str, tuple[str, str, Any]]) -> dict[str, float]:
+    values = dict(shape.optional)
+    for name in (*shape.needed, *shape.lists, *shape.optional):
+        if name in lengths and not (name in shape.lists and _is_list(lengths[name][2])):
+            values[name] = _length(*lengths[name], zero=name in _CAN_BE_ZERO)
+    return values
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _list(key: str, unit: str, values: Sequence[Any]) -> tuple[float, ...]:
+    return tuple(_length(key, unit, value) for value in values)
+
+
+def _along(said: Mapping[str, Any], direction: str) -> str:
+    """The axis that a shape lies along, from what the laboratory wrote; any text under `across` means along
+    x.
+    """
+    axes = {key: _axis(key, said[key]) for key in ("along", "axis", "across") if key in said}
+    if len(set(axes.values())) > 1:
+        raise InputError("the indenter lies along two axes", seen=axes, remedy="keep one of these keys")
+    return next(iter(axes.values()), "x" if direction == "z" else "z")
+
+
+def _axis(key: str, value: Any) -> str:
+    text = str(value).strip()
+    if text in ("x", "z"):
+        return {"x": "z", "z": "x"}[text] if key == "across" else text
+    named = re.search(r"\balong ([xz])\b", text)
+    if named:
+        return named.group(1)
+    if key == "across":
+        return "x"
+    raise InputError(
+        "unknown axis", place=key, seen=value, remedy="write x (across the finger) or z (along it)"
+    )
+
+
+def _check_complete(shape: _Shape, spec: IndenterSpec) -> None:
+    for name in (*shape.needed, *shape.lists):
+        if name not in spec.dimensions and name not in spec.lists:
+            key = f"{name}_mm"
+            remedy = f"write {key}: and its value"
+            raise InputError(f"the indenter {spec.shape!r} needs this dimension", place=key, remedy=remedy)
+
+
+def _check_fit(spec: IndenterSpec) -> None:
+    edge = spec.dimensions.get("edge_radius", 0.0)
+    ridge, groove = spec.lists.get("ridge", ()), spec.lists.get("groove", ())
+    halves = (
+        spec.dimensions.get("radius"),
+        spec.dimensions.get("width", 0.0) / 2,
+        min(ridge, default=spec.dimensions.get("ridge", 0.0)) / 2,
+    )
+    room = next((half for half in halves if half), edge)
+    if edge > room:
+        remedy = f"it can be {room:g} mm at most"
+        raise InputError(
+            "the edge radius is larger than the shape", place="edge_radius_mm", seen=edge, remedy=remedy
+        )
+    if (ridge or groove) and len(groove) != len(ridge) - 1:
+        seen = f"{len(ridge)} ridges, {len(groove)} grooves"
+        remedy = "write one groove fewer than ridges: they lie between them"
+        raise InputError("ridges and grooves do not fit", place="groove_mm", seen=seen, remedy=remedy)
+
+
+def _profile(said: Mapping[str, Any], folder: Path) -> dict[str, tuple[float, ...]]:
+    if "data" not in said:
+        remedy = "write data: a CSV of height_mm against position_mm"
+        raise InputError("the indenter 'profile' needs its heights", place="data", remedy=remedy)
+    table = read_table(folder / str(said["data"]))
+    tidy = Tidy(table)
+    position, height = tidy.needed("position", "length"), tidy.needed("height", "length")
+    rising = position[1:] > position[:-1]
+    if len(position) < 2 or not rising.all():
+        row = table.rows[int(rising.argmin()) + 1] if len(position) > 1 else table.rows[0]
+        remedy = "give two rows or more, sorted by position, each once"
+        raise InputError("positions do not rise", file=table.file, place=f"row {row}", remedy=remedy)
+    return {"position": tuple(position.tolist()), "height": tuple(height.tolist())}

@@ -1,0 +1,410 @@
+"""The door for measured tables: a tidy CSV and its sidecar become one frozen `Measurement`, or are refused.
+
+| kind | measured value | imposed |
+|---|---|---|
+| `deflection_profile` | `deflection` of the skin at a `distance` from the load line | `depth` |
+| `force_displacement` | `force`; `displacement` under `controlled: force` | the other one |
+| `spike_rate` | `rate` with the indenter at a `position` | `depth` or `force` |
+
+The whole contract is in DATA.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from .csvfile import Table, read_table
+from .errors import InputError
+from .indenter_spec import IndenterSpec, read_indenter
+from .spelling import choose_from
+from .strict import Number, Positive, Strict, checked
+from .tidy import LABELS, QUANTITIES, Tidy
+from .units import internal_unit, to_internal
+from .yamlfile import Document, Keys, Origin, located, read_yaml, said_in_python
+
+Kind = Literal["deflection_profile", "force_displacement", "spike_rate"]
+
+
+class SiteKeys(Strict):
+    """Contact point on the skin, as written: `z_mm` from the proximal cut, `theta_deg` about the bone."""
+
+    z_mm: Number = Field(ge=0)
+    theta_deg: Number = Field(ge=-360, le=360)
+
+
+class ReceptorKeys(SiteKeys):
+    """The recorded ending, as written: `depth_mm` below the skin at (`z_mm`, `theta_deg`)."""
+
+    afferent: str = "SA-I"
+    depth_mm: Positive
+
+
+class NoiseKeys(Strict):
+    """Standard deviation of the measured value, as written: a number with its unit, or `per row`."""
+
+    sigma: Number | str | None = None
+    unit: str | None = None
+    replicates: int | None = Field(default=None, ge=1)
+
+
+class SidecarKeys(Strict):
+    """Everything a sidecar, or the entry of a study that uses the file, may say."""
+
+    kind: Kind
+    source: str = ""
+    species: str = ""
+    finger: str = ""
+    indenter: Any = None
+    controlled: Literal["displacement", "force"] | None = None
+    direction: Literal["x", "z"] = "z"
+    site: SiteKeys | None = None
+    receptor: ReceptorKeys | None = None
+    noise: NoiseKeys = NoiseKeys()
+    notes: str = ""
+    columns: dict[str, str] = {}
+    where: dict[str, Any] = {}
+    drop: dict[str, Any] | list[dict[str, Any]] = {}
+    units: dict[str, str] = {}
+
+
+@dataclasses.dataclass(frozen=True)
+class Site:
+    """A point of the skin: `z` mm from the proximal cut, `theta` rad about the section's origin (3 pi/2:
+    pad).
+    """
+
+    z: float
+    theta: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Receptor:
+    """A mechanoreceptor: `afferent` by name, `depth` mm below the skin at (`z` mm, `theta` rad)."""
+
+    afferent: str
+    depth: float
+    z: float
+    theta: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measurement:
+    """What one file says, in internal units; nothing in it is a guess.
+
+    - `table`: name without unit -> (rows,): float64 in mm, N, Hz, s; text for `subject`, `condition`,
+      `trial`, `stimulus`.
+    - `value`: the column that was measured; the fit compares it.
+    - `sigma`: (rows,) standard deviation of the value, in its unit; None where none was said.
+    - `indenters`: by the name in the column `stimulus`; under `""` where there is one for all rows.
+    - `controlled`: what was imposed, `displacement` (depth from first contact, mm) or `force` (N).
+    - `direction`: `x` or `z`, along which distances and positions are counted.
+    - `site`: where the skin is touched; None where the file does not say, then it is the middle of the pad.
+    - `rows`: (rows,) the line in the file of each row, for messages.
+    - `replicates`: how many trials, or as many as the sidecar states where no column `trial` tells.
+    """
+
+    name: str
+    kind: str
+    table: dict[str, np.ndarray]
+    value: str
+    sigma: np.ndarray | None
+    indenters: dict[str, IndenterSpec]
+    controlled: str
+    direction: str
+    site: Site | None
+    receptor: Receptor | None
+    notes: str = ""
+    source: str = ""
+    species: str = ""
+    file: Path | None = None
+    replicates: int = 1
+    rows: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def __len__(self) -> int:
+        return len(self.table[self.value])
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(rows,) the measured value, internal units."""
+        return self.table[self.value]
+
+    @property
+    def unit(self) -> str:
+        """The internal unit of the measured value."""
+        return internal_unit(QUANTITIES[self.value])
+
+    @property
+    def imposed(self) -> str:
+        """The column of what was imposed: `depth`, `displacement` or `force`."""
+        if self.controlled == "force":
+            return "force"
+        return "displacement" if self.kind == "force_displacement" else "depth"
+
+
+def read_measurement(
+    file: Path | str,
+    said: Mapping[str, Any] | None = None,
+    *,
+    name: str | None = None,
+    receptor: Receptor | None = None,
+    origin: Origin = said_in_python,
+) -> Measurement:
+    """Read a CSV and the sidecar beside it (`<name>.yaml`), if there is one.
+
+    **Arguments:**
+
+    - `file`: the CSV.
+    - `said`: keys of a sidecar that stand above it, each replacing the sidecar's whole key; all of them
+      where there is none.
+    - `name`: what to call the measurement; the file's stem where None.
+    - `receptor`: for a spike-rate file that does not say its own.
+    - `origin`: where `said` was written.
+
+    **Raises** `InputError` for whatever is not as DATA.md has it, with file, row, column, what was found and
+    what to write.
+    """
+    file, said = Path(file), dict(said or {})
+    sidecar = _sidecar(file)
+    origin = _layered(said, origin, sidecar, file)
+    below = sidecar.content if sidecar else {}
+    keys = checked(SidecarKeys, _with_kind({**below, **said}, file), origin)
+    table = _rows(read_table(file), keys, origin)
+    tidy = Tidy(table, keys.columns, keys.units)
+    with located(origin, "columns"):
+        tidy.check_columns()
+    with located(origin, "units"):
+        tidy.check_units()
+    return _measurement(name or file.stem, keys, tidy, receptor, origin)
+
+
+def _sidecar(file: Path) -> Document | None:
+    beside = file.with_suffix(".yaml")
+    if file.suffix == ".yaml":
+        raise InputError(
+            "this is a sidecar, not a table", file=file, remedy="name the CSV; its sidecar is found"
+        )
+    if not beside.exists():
+        return None
+    document = read_yaml(beside)
+    if not isinstance(document.content, Mapping):
+        remedy = "write keys and values: kind: ..., indenter: ..."
+        raise InputError("the sidecar holds no keys", file=beside, seen=document.content, remedy=remedy)
+    return document
+
+
+def _layered(said: Mapping[str, Any], origin: Origin, sidecar: Document | None, file: Path) -> Origin:
+    """Where a key was written when some stand above the sidecar's."""
+    below = sidecar.origin() if sidecar else origin
+
+    def find(keys: Keys) -> tuple[Path | None, str]:
+        where = (origin if keys and keys[0] in said else below)(keys)
+        return where if where[0] is not None else (file, where[1])
+
+    return find
+
+
+def _with_kind(said: dict[str, Any], file: Path) -> dict[str, Any]:
+    if "kind" not in said:
+        remedy = f"write kind: in {file.with_suffix('.yaml').name} beside it, or in the entry that uses it"
+        kinds = "deflection_profile, force_displacement or spike_rate"
+        raise InputError(f"nothing says what kind of measurement this is: {kinds}", file=file, remedy=remedy)
+    return said
+
+
+def _rows(table: Table, keys: SidecarKeys, origin: Origin) -> Table:
+    """The rows that `where` takes and `drop` leaves: a row is dropped where all keys of a `drop` fit it."""
+    with located(origin, "where"):
+        mask = table.matching(keys.where, needed=True)
+    for drop in keys.drop if isinstance(keys.drop, list) else [keys.drop]:
+        with located(origin, "drop"):
+            mask &= ~table.matching(drop, needed=False) if drop else True
+    if not mask.any():
+        file, where = origin(("where",) if keys.where else ("drop",))
+        remedy = "take more rows, or drop fewer"
+        raise InputError("no row of the table is left", file=file, place=where, remedy=remedy)
+    return table.take(mask)
+
+
+def _measurement(
+    name: str, keys: SidecarKeys, tidy: Tidy, receptor: Receptor | None, origin: Origin
+) -> Measurement:
+    imposed, value = _roles(keys, tidy, origin)
+    table = _columns(keys.kind, imposed, value, tidy)
+    _check_imposed(table[imposed], imposed, tidy)
+    sigma = _sigma(keys.noise, value, tidy, origin)
+    return Measurement(
+        name=name,
+        kind=keys.kind,
+        table=table if sigma is None else {**table, "sigma": sigma},
+        value=value,
+        sigma=sigma,
+        indenters=_indenters(keys, table, tidy, origin),
+        controlled="force" if imposed == "force" else "displacement",
+        direction=keys.direction,
+        site=_site(keys, receptor),
+        receptor=_receptor(keys, receptor, tidy),
+        notes=keys.notes,
+        source=keys.source,
+        species=keys.species,
+        file=tidy.table.file,
+        replicates=len(set(table["trial"])) if "trial" in table else keys.noise.replicates or 1,
+        rows=np.array(tidy.table.rows, dtype=np.int64),
+    )
+
+
+def _roles(keys: SidecarKeys, tidy: Tidy, origin: Origin) -> tuple[str, str]:
+    """Which column was imposed and which was measured."""
+    if keys.kind == "force_displacement":
+        return ("force", "displacement") if keys.controlled == "force" else ("displacement", "force")
+    imposed = "depth" if keys.kind == "deflection_profile" else _depth_or_force(tidy)
+    controlled = "force" if imposed == "force" else "displacement"
+    if keys.controlled not in (None, controlled):
+        file, where = origin(("controlled",))
+        remedy = f"write controlled: {controlled}, or give the column of what was imposed"
+        problem = f"a {keys.kind} with a column of {imposed} was not controlled by {keys.controlled}"
+        raise InputError(problem, file=file, place=where, seen=keys.controlled, remedy=remedy)
+    return imposed, "deflection" if keys.kind == "deflection_profile" else "rate"
+
+
+def _depth_or_force(tidy: Tidy) -> str:
+    there = [name for name in ("depth", "force") if tidy.find(name)]
+    if len(there) != 1:
+        found = [str(tidy.find(name)) for name in there]
+        problem = "a spike_rate needs exactly one column of depth_mm, force_N or force_gf"
+        remedy = "keep the one that was imposed" if there else "add the depth or force of every row"
+        seen = found or list(tidy.table.cells)
+        raise InputError(problem, file=tidy.table.file, seen=seen, remedy=remedy)
+    return there[0]
+
+
+def _columns(kind: str, imposed: str, value: str, tidy: Tidy) -> dict[str, np.ndarray]:
+    along = {"deflection_profile": ["distance"], "spike_rate": ["position"]}.get(kind, [])
+    table = {name: tidy.needed(name, QUANTITIES[name]) for name in [imposed, *along, value]}
+    more = {"time": tidy.optional("time", "time"), **{name: tidy.label(name) for name in LABELS}}
+    return table | {name: column for name, column in more.items() if column is not None}
+
+
+def _check_imposed(values: np.ndarray, name: str, tidy: Tidy) -> None:
+    if (values < 0).any():
+        column = str(tidy.find(name))
+        problem = f"a negative {name}: it is counted from first contact, into the skin"
+        remedy = "correct the zero or the sign, or leave the row out with `drop:`"
+        raise tidy.table.refuse(int(np.argmax(values < 0)), column, problem, remedy)
+
+
+def _sigma(noise: NoiseKeys, value: str, tidy: Tidy, origin: Origin) -> np.ndarray | None:
+    """Standard deviations (rows,): the number that is stated, or else the column, or else nothing."""
+    if noise.sigma is not None and noise.sigma != "per row":
+        with located(origin, "noise"):
+            return np.full(len(tidy.table), _stated_sigma(noise, QUANTITIES[value]))
+    dimension = QUANTITIES[value]
+    sigma = tidy.needed("sigma", dimension) if noise.sigma == "per row" else tidy.optional("sigma", dimension)
+    if sigma is not None and (sigma <= 0).any():
+        remedy = "write a standard deviation above 0, or leave the row out with `drop:`"
+        problem = "a standard deviation that is not positive"
+        raise tidy.table.refuse(int(np.argmax(sigma <= 0)), str(tidy.find("sigma")), problem, remedy)
+    return sigma
+
+
+def _stated_sigma(noise: NoiseKeys, dimension: str) -> float:
+    if isinstance(noise.sigma, str):
+        remedy = "write a number with its `unit:`, or the words: per row"
+        raise InputError("not a standard deviation", place="sigma", seen=noise.sigma, remedy=remedy)
+    if noise.sigma is None or noise.sigma <= 0:
+        remedy = "write a number above 0"
+        raise InputError(
+            "a standard deviation that is not positive", place="sigma", seen=noise.sigma, remedy=remedy
+        )
+    if noise.unit is None:
+        remedy = f"write unit: {internal_unit(dimension)} beside it"
+        raise InputError(
+            "a standard deviation without a unit", place="sigma", seen=noise.sigma, remedy=remedy
+        )
+    return float(to_internal(noise.sigma, noise.unit, dimension, "noise.sigma"))
+
+
+def _indenters(
+    keys: SidecarKeys, table: Mapping[str, np.ndarray], tidy: Tidy, origin: Origin
+) -> dict[str, IndenterSpec]:
+    if keys.indenter is None:
+        remedy = "write indenter: {shape: ...} in the sidecar or the entry"
+        raise InputError("nothing says what the indenter is", file=tidy.table.file, remedy=remedy)
+    folder = tidy.table.file.parent if tidy.table.file else Path(".")
+    several = isinstance(keys.indenter, Mapping) and "stimuli" in keys.indenter
+    if not several:
+        _check_one_stimulus(table, tidy)
+        with located(origin, "indenter"):
+            return {"": read_indenter(keys.indenter, direction=keys.direction, folder=folder)}
+    specs = {}
+    for name, said in _stimuli(keys.indenter, origin).items():
+        with located(origin, "indenter", "stimuli", str(name)):
+            specs[str(name)] = read_indenter(said, direction=keys.direction, folder=folder)
+    _check_stimuli(specs, table, tidy)
+    return specs
+
+
+def _stimuli(indenter: Mapping[str, Any], origin: Origin) -> Mapping[str, Any]:
+    with located(origin, "indenter"):
+        other = next((str(key) for key in indenter if key != "stimuli"), None)
+        if other is not None:
+            raise InputError("a key beside `stimuli`", place=other, remedy="write it inside each stimulus")
+        stimuli = indenter["stimuli"]
+        if not isinstance(stimuli, Mapping) or not stimuli:
+            remedy = "write NAME: {shape: ...}, NAME as in the column stimulus"
+            raise InputError("no stimuli are named", place="stimuli", seen=stimuli, remedy=remedy)
+    return stimuli
+
+
+def _check_one_stimulus(table: Mapping[str, np.ndarray], tidy: Tidy) -> None:
+    names = list(dict.fromkeys(table.get("stimulus", np.array([], dtype=str)).tolist()))
+    if len(names) > 1:
+        remedy = "write indenter: {stimuli: {NAME: {shape: ...}}}, or take one of them with `where:`"
+        problem = "the column stimulus has several names but there is one indenter"
+        raise InputError(problem, file=tidy.table.file, seen=names, remedy=remedy)
+
+
+def _check_stimuli(specs: Mapping[str, IndenterSpec], table: Mapping[str, np.ndarray], tidy: Tidy) -> None:
+    if "stimulus" not in table:
+        remedy = "name the column that holds them under `columns:`, as in stimulus: THEIR_NAME"
+        raise InputError(
+            "stimuli are named but there is no column stimulus", file=tidy.table.file, remedy=remedy
+        )
+    for index, name in enumerate(table["stimulus"].tolist()):
+        if name not in specs:
+            column = str(tidy.find("stimulus"))
+            raise tidy.table.refuse(index, column, "a stimulus without an indenter", choose_from(name, specs))
+
+
+def _angle(degrees: float) -> float:
+    return float(to_internal(degrees, "deg", "angle")) % (2 * np.pi)
+
+
+def _site(keys: SidecarKeys, fallback: Receptor | None) -> Site | None:
+    if keys.site is not None:
+        return Site(keys.site.z_mm, _angle(keys.site.theta_deg))
+    if keys.kind != "spike_rate":
+        return None
+    if keys.receptor is not None:
+        return Site(keys.receptor.z_mm, _angle(keys.receptor.theta_deg))
+    return Site(fallback.z, fallback.theta) if fallback else None
+
+
+def receptor_from(keys: ReceptorKeys) -> Receptor:
+    """The record of what was written under `receptor:`."""
+    return Receptor(keys.afferent, keys.depth_mm, keys.z_mm, _angle(keys.theta_deg))
+
+
+def _receptor(keys: SidecarKeys, fallback: Receptor | None, tidy: Tidy) -> Receptor | None:
+    if keys.kind != "spike_rate":
+        return None
+    found = receptor_from(keys.receptor) if keys.receptor else fallback
+    if found is None:
+        remedy = "write receptor: {depth_mm: ..., z_mm: ..., theta_deg: ...} in the sidecar or under model:"
+        raise InputError("nothing says where the receptor is", file=tidy.table.file, remedy=remedy)
+    return found
