@@ -1,0 +1,30 @@
+"""How every test is run: float64, no silent promotion, no window, and where the measured data are.
+
+Meshes are kept where the program keeps them (`FINGERJAX_CACHE`, or the user's cache folder), so that a second
+run of the tests does not mesh again.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def measured() -> Path:
+    """The folder of measured data: `FINGERJAX_DATA`, or `shared/data` beside the repository; or a skip."""
+    named = os.environ.get("FINGERJAX_DATA")
+    folder = Path(named) if named else REPOSITORY.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no measured data: {folder} is not a folder; set FINGERJAX_DATA to it")
+    return folder
