@@ -18,6 +18,7 @@ from fingerjax._results import RESULTS
 from fingerjax.identify import Health, Problem, Step, fit, uncertainty
 from fingerjax.parameters import Parameter
 
+
 def health(converged: Any = True, iterations: int = 12, residual: float = 1e-11) -> Health:
     return Health(jnp.asarray(converged), jnp.asarray(iterations), jnp.asarray(residual))
 
@@ -96,7 +97,8 @@ def test_a_step_is_one_run_of_the_model() -> None:
     x = np.linspace(0.0, 2.0, 6)
     seen: list[Step] = []
     found = fit(
-        problem(lambda x, b: b[1] * slow(b[0] * x), x, 3.0 * np.exp(0.7 * x), parameters), progress=seen.append
+        problem(lambda x, b: b[1] * slow(b[0] * x), x, 3.0 * np.exp(0.7 * x), parameters),
+        progress=seen.append,
     )
     assert found.result is RESULTS.successful
     assert found.values["rate"] == pytest.approx(0.7, rel=1e-8)
@@ -123,7 +125,8 @@ def test_a_solve_cut_short_gives_no_value() -> None:
 
 
 def test_a_trial_point_whose_solve_failed_is_refused() -> None:
-    # The optimum, log 3 = 1.0986, lies where the solver fails: the fit may come near it and must not claim it.
+    # The optimum, log 3 = 1.0986, lies where the solver fails: the fit may come near it and must not claim
+    # it.
     found = fit(line(well=lambda raw: raw[0] < 1.05))
     assert found.result is RESULTS.not_converged
     assert found.raw[0] < 1.05
@@ -148,7 +151,9 @@ def test_steps_that_run_out_are_no_optimum() -> None:
     assert not math.isnan(found.best["b1"])
 
 
-@pytest.mark.parametrize(("side", "keys", "value"), [("upper", {"upper": 2.0}, 2.0), ("lower", {"lower": 0.5}, 0.5)])
+@pytest.mark.parametrize(
+    ("side", "keys", "value"), [("upper", {"upper": 2.0}, 2.0), ("lower", {"lower": 0.5}, 0.5)]
+)
 def test_a_limit_holds_and_is_told(side: str, keys: dict[str, float], value: float) -> None:
     up = line(**keys)
     if side == "lower":
@@ -164,7 +169,10 @@ def test_a_limit_holds_and_is_told(side: str, keys: dict[str, float], value: flo
 
 def test_the_others_are_fitted_with_one_at_its_limit() -> None:
     x = np.linspace(0.0, 4.0, 9)
-    parameters = [Parameter("slope", 1.0, "1", "log", 0.0, 2.0), Parameter("offset", 0.0, "1", "identity", -9.0, 9.0)]
+    parameters = [
+        Parameter("slope", 1.0, "1", "log", 0.0, 2.0),
+        Parameter("offset", 0.0, "1", "identity", -9.0, 9.0),
+    ]
     found = fit(problem(lambda x, b: b[0] * x + b[1], x, 3.0 * x + 1.0, parameters))
     assert found.result is RESULTS.at_limit
     assert found.values["offset"] == pytest.approx(1.0 + x.mean(), rel=1e-6)

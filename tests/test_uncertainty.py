@@ -37,7 +37,10 @@ def decay(y: np.ndarray, sigma: float, source: str) -> Problem:
 
 def linear(columns: dict[str, Any], y: Any, links: dict[str, str] | None = None, prior: int = 0) -> Problem:
     """r = sum of columns times raw parameters, less y."""
-    matrix, target = jnp.stack([jnp.asarray(c, float) for c in columns.values()], axis=1), jnp.asarray(y, float)
+    matrix, target = (
+        jnp.stack([jnp.asarray(c, float) for c in columns.values()], axis=1),
+        jnp.asarray(y, float),
+    )
     links = links or {}
     parameters = tuple(
         Parameter(name, 1.0, "1", links.get(name, "log"), -math.inf if links.get(name) == "identity" else 0.0)

@@ -1,11 +1,11 @@
 """Levenberg-Marquardt to a true optimum, with one evaluation of the model for each step.
 
-An evaluation may cost seconds, so the model is touched once for each point: residuals, Jacobian and the health of
-every solve inside come out of one compiled pass. optimistix's `LevenbergMarquardt` is then stepped on the
-linearisation, which at that point has the same value and the same derivative and costs nothing.
+An evaluation may cost seconds, so the model is touched once for each point: residuals, Jacobian and the
+health of every solve inside come out of one compiled pass. optimistix's `LevenbergMarquardt` is then stepped
+on the linearisation, which at that point has the same value and the same derivative and costs nothing.
 
-Parameters are fitted in their raw (linked) form and scaled by the length of their Jacobian columns, so that neither
-the damping nor the stopping rule depends on units.
+Parameters are fitted in their raw (linked) form and scaled by the length of their Jacobian columns, so that
+neither the damping nor the stopping rule depends on units.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class Problem:
     **Arguments:**
 
     - `parameters`: the free ones, in the order of the raw vector.
-    - `residuals`: raw vector (p,) -> (residuals (rows,), `Health`); a residual is (prediction - data) / sigma.
-      Traceable by jax. Rows of prior knowledge come last.
+    - `residuals`: raw vector (p,) -> (residuals (rows,), `Health`); a residual is (prediction - data) /
+      sigma. Traceable by jax. Rows of prior knowledge come last.
     - `blocks`: the rows of each measurement; those of prior knowledge are called `prior`.
     - `sigma_source`: for each measurement `stated`, `replicates` or `assumed`.
     """
@@ -171,8 +171,9 @@ class _Point:
 def _linearise(residuals: Callable[[Array], tuple[Array, Health]], raw: Array) -> tuple[Array, Array, Health]:
     """Residuals, Jacobian and health in one pass.
 
-    The tangents are pushed forward together with the one value that they share (`out_axes=None` insists on it). A
-    `linearize` would do too, but runs a loop in the model twice: once for the value and once for the tangents.
+    The tangents are pushed forward together with the one value that they share (`out_axes=None` insists on
+    it). A `linearize` would do too, but runs a loop in the model twice: once for the value and once for the
+    tangents.
     """
 
     def push(direction: Array) -> tuple[Array, Array, Health]:
@@ -184,8 +185,8 @@ def _linearise(residuals: Callable[[Array], tuple[Array, Health]], raw: Array) -
 def evaluator(problem: Problem) -> Callable[[np.ndarray], _Point]:
     """The model as a function of the raw vector, on the host.
 
-    Compiled once per `problem.residuals`. Where that is a module (`equinox.Module`) with the data among its leaves,
-    problems that differ in their data only share one compilation.
+    Compiled once per `problem.residuals`. Where that is a module (`equinox.Module`) with the data among its
+    leaves, problems that differ in their data only share one compilation.
     """
 
     def evaluate(raw: np.ndarray) -> _Point:
@@ -250,15 +251,16 @@ def relative_gradient(residual: np.ndarray, jacobian: np.ndarray) -> float:
 
 @cache
 def _solver() -> Any:
-    # A step is good from three quarters of the predicted reduction; optimistix asks for 0.99, which a curved model
-    # reaches too late for the damping to vanish.
-    search = optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=10.0, low_constant=0.1)
+    # A step is good from three quarters of the predicted reduction; optimistix asks for 0.99, which a curved
+    # model reaches too late for the damping to vanish.
+    search: Any = optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=10.0, low_constant=0.1)
     return eqx.tree_at(lambda s: s.search, optx.LevenbergMarquardt(rtol=0.0, atol=0.0), search)
 
 
 @cache
 def _blank_state(rows: int, count: int) -> Any:
-    """The solver's first state. Kept, because it holds a traced function and a new one would be compiled again."""
+    """The solver's first state. Kept, because it holds a traced function and a new one would be compiled
+    again."""
     z = jnp.zeros(count)
     args = (jnp.zeros(rows), jnp.zeros((rows, count)), z)
     shapes = jax.eval_shape(_linearised, z, args)
@@ -299,7 +301,8 @@ class _Walk:
     def advance(self, at: _Point, best: _Point) -> np.ndarray:
         """Tell the solver what was found at its trial point; (p,) raw where it wants to look next.
 
-        A point higher than the best is refused here: after clipping, the solver may have predicted it to be so.
+        A point higher than the best is refused here: after clipping, the solver may have predicted it to be
+        so.
         """
         surrogate = self._surrogate(at, refuse=not at.usable or at.chi2 > best.chi2)
         self.z, self.state = _advance(self.z, surrogate, self.state)
@@ -335,7 +338,8 @@ def _linearised(z: Array, args: tuple[Array, Array, Array]) -> tuple[Array, None
 
 @contextmanager
 def _interruptible() -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C into a flag, so that the evaluation under way ends cleanly; a second one raises."""
+    """Turn the first Ctrl-C into a flag, so that the evaluation under way ends cleanly; a second one
+    raises."""
     asked = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield asked
@@ -426,12 +430,14 @@ def fit(
     - `problem`: what to fit.
     - `max_steps`: evaluations after the first one; each costs one run of the model with its derivatives.
     - `gradient_tolerance`: the relative gradient that counts as an optimum.
-    - `start`: raw start values (p,), for instance `Fit.raw` of an interrupted fit; the parameters' own otherwise.
+    - `start`: raw start values (p,), for instance `Fit.raw` of an interrupted fit; the parameters' own
+      otherwise.
     - `progress`: called with a `Step` after every evaluation.
 
-    **Returns:** a `Fit`. It never raises for a fit that ends badly: `Fit.result` is then `not_converged` (a solve
-    inside failed at the start or kept failing, or the steps ran out) or `interrupted` (Ctrl-C), `Fit.values` are NaN
-    and the best point so far is kept in `Fit.raw`. A trial point whose solves failed is never accepted.
+    **Returns:** a `Fit`. It never raises for a fit that ends badly: `Fit.result` is then `not_converged` (a
+    solve inside failed at the start or kept failing, or the steps ran out) or `interrupted` (Ctrl-C),
+    `Fit.values` are NaN and the best point so far is kept in `Fit.raw`. A trial point whose solves failed is
+    never accepted.
 
     Levenberg (1944); Marquardt (1963); column scaling as in Moré (1978), section 6.
     """

@@ -2,8 +2,9 @@
 
     S_ij = d prediction_i / d log parameter_j
 
-is the change of a prediction for a change of the parameter by a factor e: of 0.01 S for one per cent. Divided by the
-observation's sigma it says how many standard deviations that is, so that columns and instruments can be compared.
+is the change of a prediction for a change of the parameter by a factor e: of 0.01 S for one per cent.
+Divided by the observation's sigma it says how many standard deviations that is, so that columns and
+instruments can be compared.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ def sensitivity(fit: Fit, sigma: Mapping[str, np.ndarray | float] | None = None)
     **Arguments:**
 
     - `fit`: its Jacobian at the best point is used, no model is run.
-    - `sigma`: standard deviations that the residuals were whitened with, by measurement, (rows,) or one number, in
-      the unit of the measured value. Without them only `in_sigma` is filled.
+    - `sigma`: standard deviations that the residuals were whitened with, by measurement, (rows,) or one
+      number, in the unit of the measured value. Without them only `in_sigma` is filled.
     """
     parameters = fit.problem.parameters
     natural = np.array([fit.best[name] for name in fit.problem.names])

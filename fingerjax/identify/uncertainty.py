@@ -2,10 +2,10 @@
 
     estimator's covariance   V = A^-1 (sum over blocks s_b^2 J_b' J_b) A^-1,   A = J' J
 
-in raw parameters. A block whose noise is stated, or comes from replicates, has s_b = 1, so that V = A^-1 where all are.
-Blocks whose noise was only assumed share one s^2, estimated from their own residuals; the intervals are then Student's
-with the degrees of freedom that those residuals have left. Intervals are mapped through the link, so those of a
-modulus are positive and not symmetric.
+in raw parameters. A block whose noise is stated, or comes from replicates, has s_b = 1, so that V = A^-1
+where all are. Blocks whose noise was only assumed share one s^2, estimated from their own residuals; the
+intervals are then Student's with the degrees of freedom that those residuals have left. Intervals are mapped
+through the link, so those of a modulus are positive and not symmetric.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from scipy import stats
 from fingerjax.identify.fit import Fit
 from fingerjax.parameters import Parameter
 
-UNSEEN = 1e-6  # singular value of the column-normalised Jacobian, relative to the largest, that counts as nothing
+UNSEEN = (
+    1e-6  # singular value of the column-normalised Jacobian, relative to the largest, that counts as nothing
+)
 VAGUE = math.log(10.0)  # half-width of a log or logit parameter's interval beyond which it is not identified
 INVOLVED = 0.05  # share of an unseen direction that makes a parameter part of it
 
@@ -46,8 +48,8 @@ class Uncertainty:
     """What the data say about the parameters at the end of a fit.
 
     - `covariance` (p, p), `correlations` (p, p): in raw parameters; NaN rows for the undefined ones.
-    - `sigma`: "stated" or "estimated"; `t` is the quantile that widens a standard error to half an interval, and
-      `noise_dof` the degrees of freedom behind it (inf where sigma is stated).
+    - `sigma`: "stated" or "estimated"; `t` is the quantile that widens a standard error to half an interval,
+      and `noise_dof` the degrees of freedom behind it (inf where sigma is stated).
     - `variance`: chi2 / dof, about 1 where the model fits to within the stated noise.
     - `sentences`: what the data do not see, in words.
     """
@@ -100,12 +102,12 @@ class _Seen:
 def uncertainty(fit: Fit, *, level: float = 0.95) -> Uncertainty:
     """Standard errors, `level` intervals, correlations, and what the data do not see.
 
-    **Arguments:** `fit` as `identify.fit` returned it. Where it is not settled everything is NaN: the linearisation
-    away from an optimum says nothing about the noise.
+    **Arguments:** `fit` as `identify.fit` returned it. Where it is not settled everything is NaN: the
+    linearisation away from an optimum says nothing about the noise.
 
-    A parameter at its limit has no interval (it does not move with the data), and the others are given it. A parameter
-    that takes part in an unseen direction has none either. In the sentences a direction reads as a product of powers,
-    because moduli are fitted in their logarithms.
+    A parameter at its limit has no interval (it does not move with the data), and the others are given it. A
+    parameter that takes part in an unseen direction has none either. In the sentences a direction reads as a
+    product of powers, because moduli are fitted in their logarithms.
 
     Seber & Wild, Nonlinear Regression (1989), section 5.1.
     """
@@ -131,7 +133,9 @@ def uncertainty(fit: Fit, *, level: float = 0.95) -> Uncertainty:
         t=t,
         noise_dof=noise_dof,
         variance=fit.chi2 / fit.dof if fit.dof > 0 else math.nan,
-        sentences=_sentences([p for p in parameters if p.name in names], jacobian, seen) if fit.settled else (),
+        sentences=_sentences([p for p in parameters if p.name in names], jacobian, seen)
+        if fit.settled
+        else (),
     )
 
 
@@ -173,13 +177,22 @@ def _estimate(fit: Fit, j: int, width: float, involved: bool, t: float) -> Estim
     parameter = fit.problem.parameters[j]
     limit = fit.limits.get(parameter.name) if fit.settled else None
     ends = [float(parameter.natural(fit.raw[j] + side * width)) for side in (-1.0, 1.0)]
-    vague = parameter.link != "identity" and width > VAGUE
+    vague = parameter.link != "identity" and bool(width > VAGUE)
     identified = fit.settled and limit is None and not involved and not vague
     error = float(parameter.slope(fit.raw[j])) * width / t if width == width else math.nan
     value = fit.values[parameter.name]
     reason = _reason(fit, limit, involved, vague, t)
     return Estimate(
-        parameter.name, value, parameter.unit, error, ends[0], ends[1], parameter.value, limit, identified, reason
+        parameter.name,
+        value,
+        parameter.unit,
+        error,
+        ends[0],
+        ends[1],
+        parameter.value,
+        limit,
+        identified,
+        reason,
     )
 
 
@@ -195,7 +208,7 @@ def _reason(fit: Fit, limit: str | None, involved: bool, vague: bool, t: float) 
     return "seen only to within a factor of ten or worse" if vague else ""
 
 
-# ---- in words -------------------------------------------------------------------------------------------------------
+# ---- in words ----
 
 
 def _sentences(parameters: Sequence[Parameter], jacobian: np.ndarray, seen: _Seen) -> tuple[str, ...]:
@@ -223,7 +236,8 @@ def _sentences(parameters: Sequence[Parameter], jacobian: np.ndarray, seen: _See
 
 
 def _sparse(directions: np.ndarray) -> np.ndarray:
-    """An equivalent basis with as many zeros as elimination can make, so that each sentence names few parameters."""
+    """An equivalent basis with as many zeros as elimination can make, so that each sentence names few
+    parameters."""
     basis = directions.copy()
     for row in range(basis.shape[0]):
         column = int(np.argmax(np.abs(basis[row])))
@@ -234,7 +248,8 @@ def _sparse(directions: np.ndarray) -> np.ndarray:
 
 
 def combination(parameters: Sequence[Parameter], weights: np.ndarray) -> str:
-    """A raw direction in words: `dermis.modulus x adipose.modulus^0.8`, or a sum where a link is not the log."""
+    """A raw direction in words: `dermis.modulus x adipose.modulus^0.8`, or a sum where a link is not the
+    log."""
     kept = [(p, w) for p, w in zip(parameters, weights / _largest(weights), strict=True) if abs(w) > INVOLVED]
     kept.sort(key=lambda pair: -abs(pair[1]))
     if all(parameter.link == "log" for parameter, _ in kept):
