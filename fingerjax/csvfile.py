@@ -115,8 +115,7 @@ def read_table(file: Path) -> Table:
     """Read a CSV file.
 
     **Raises** `InputError` with file and line: not there, not UTF-8, empty, no rows, a column without a name
-    or with a name
-    twice, a row with more or fewer cells than the header.
+    or with a name twice, a row with more or fewer cells than the header.
     """
     numbered = [(number, line) for number, line in enumerate(read_text(file).splitlines(), start=1)]
     kept = [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]

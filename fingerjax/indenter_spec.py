@@ -10,7 +10,7 @@
 | `sphere` | `radius_mm` |
 | `cylinder` | lying on its side: `radius_mm` |
 | `flat_cylinder` | standing on its end: `radius_mm` [`edge_radius_mm`] |
-| `grating` | `ridge_mm`, `groove_mm`: numbers if it repeats, else lists, one groove fewer [`edge_radius_mm`] |
+| `grating` | `ridge_mm`, `groove_mm`: numbers if it repeats, or lists, grooves between [`edge_radius_mm`] |
 | `profile` | `data`: a CSV of `height_mm` against `position_mm` |
 
 Shapes that lie along an axis take `along: x` (across the finger) or `along: z`; `across:` a remark means
@@ -70,8 +70,7 @@ class IndenterSpec:
       in.
     - `along`: `x` or `z`, the axis that the shape is the same along; empty for a shape without one.
     - `lists`: mm; `ridge` and `groove` of a grating that does not repeat, its first ridge centred on the
-      origin;
-      `position` and `height` of a profile.
+      origin; `position` and `height` of a profile.
     """
 
     shape: str
@@ -87,13 +86,11 @@ def read_indenter(said: Any, *, direction: str = "z", folder: Path = Path(".")) 
 
     - `said`: the keys and values, or a shape's name alone.
     - `direction`: `x` or `z`, along which distances and shifts are counted; a shape lies along the other one
-      unless it
-      says so.
+      unless it says so.
     - `folder`: what the path of a profile's CSV is relative to.
 
     **Raises** `InputError` naming the key: unknown shape or key (with the nearest), a dimension missing, not
-    positive, or
-    larger than it can be, a unit that is no length, a grating whose lists do not fit.
+    positive, or larger than it can be, a unit that is no length, a grating whose lists do not fit.
     """
     said = {"shape": said} if isinstance(said, str) else said
     if not isinstance(said, Mapping) or "shape" not in said:

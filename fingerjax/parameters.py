@@ -1,8 +1,7 @@
 """A number that may be fitted: its name is its path in the model, its link keeps it inside its limits.
 
 Choose a link: `log` for what is positive and known to a factor (moduli, scales, thresholds), `logit` for
-what lies strictly
-between two limits (Poisson's ratio), `identity` for the rest (offsets, angles).
+what lies strictly between two limits (Poisson's ratio), `identity` for the rest (offsets, angles).
 """
 
 from __future__ import annotations
@@ -38,8 +37,7 @@ class Parameter:
     - `lower`, `upper`: limits in `unit`; may be infinite, except for `logit`.
 
     **Raises** `InputError` where the name is no path, the link unknown, the limits are crossed or outside
-    what the link can
-    reach, or the value is outside them.
+    what the link can reach, or the value is outside them.
     """
 
     name: str

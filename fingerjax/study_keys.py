@@ -17,8 +17,10 @@ from .strict import Number, Positive, Strict
 from .units import read_quantity, to_internal
 
 PRESETS = ("monkey", "human")
-EPIDERMIS = {"human": 0.18, "monkey": 0.14}
-"""MPa: means of Tables 1 and 2 of Dandekar et al. (2003), where a ratio model says nothing of the scale."""
+EPIDERMIS = 0.18
+"""MPa: the human mean of Dandekar et al. (2003), Table 1, for a ratio model that says nothing of its
+scale.
+"""
 POISSON_RATIO = 0.48
 RIGID_DECADES = 3
 
@@ -187,7 +189,7 @@ class Model(Strict):
         """
         bone = self.bone_modulus()
         if self.ratios is not None:
-            start = self.epidermis_MPa or EPIDERMIS["human"]
+            start = self.epidermis_MPa or EPIDERMIS
             soft = {layer: ratio_moduli(self.ratios, start)[layer] for layer in SOFT_LAYERS}
         else:
             soft = {layer: (self.moduli_MPa or {})[layer] for layer in SOFT_LAYERS}
@@ -197,8 +199,7 @@ class Model(Strict):
         """MPa, or None for a rigid bone.
 
         Not said, it is rigid; with a ratio model whose bone is less than three decades above its stiffest
-        tissue, it has the
-        modulus that the model gives it (m33333 is homogeneous all through).
+        tissue, it has the modulus that the model gives it (m33333 is homogeneous all through).
         """
         if self.bone == "rigid" or (self.bone is None and self.ratios is None):
             return None
@@ -207,7 +208,7 @@ class Model(Strict):
         decades = ratio_decades(str(self.ratios))
         if decades["bone"] - max(decades[layer] for layer in SOFT_LAYERS) >= RIGID_DECADES:
             return None
-        return ratio_moduli(str(self.ratios), self.epidermis_MPa or EPIDERMIS["human"])["bone"]
+        return ratio_moduli(str(self.ratios), self.epidermis_MPa or EPIDERMIS)["bone"]
 
     def has_layered_poisson_ratio(self) -> bool:
         """Whether every layer has its own Poisson's ratio."""

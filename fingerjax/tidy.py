@@ -1,8 +1,8 @@
 """From a laboratory's columns to ours: which of its columns is the depth, and in which unit.
 
 A quantity is found, in this order: by the `columns:` mapping, by a column of its name and a unit
-(`depth_um`), by a column of
-its bare name whose unit is under `units:`. A unit said twice must be said alike; one never said is an error.
+(`depth_um`), by a column of its bare name whose unit is under `units:`. A unit said twice must be said
+alike; one never said is an error.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from .csvfile import Table
 from .errors import InputError
 from .spelling import choose_from
-from .units import factor, internal_unit, split_unit, to_internal
+from .units import ACCEPTED, factor, internal_unit, split_unit, to_internal
 
 QUANTITIES = {
     "depth": "length",
@@ -125,17 +125,14 @@ class Tidy:
         return units[0]
 
     def _missing(self, quantity: str, dimension: str) -> InputError:
+        file, cells = self.table.file, self.table.cells
+        for name in cells:
+            if name.startswith(f"{quantity}_") and split_unit(name)[1] is None:
+                unit = name.removeprefix(f"{quantity}_")
+                problem = f"column {name!r} has a unit that is not one of {dimension}"
+                return InputError(
+                    problem, file=file, seen=unit, remedy=choose_from(unit, ACCEPTED[dimension])
+                )
         wanted = f"{quantity}_{internal_unit(dimension)}"
-        problem = f"there is no column {wanted!r}"
-        near = [
-            name for name in self.table.cells if name.startswith(f"{quantity}_") and not split_unit(name)[1]
-        ]
-        if near:
-            try:
-                factor(near[0].removeprefix(f"{quantity}_"), dimension, near[0])
-            except InputError as error:
-                problem = f"{problem}, and {error.problem}"
-        remedy = (
-            f"{choose_from(wanted, self.table.cells)}; name it under `columns:`, as in {wanted}: THEIR_NAME"
-        )
-        return InputError(problem, file=self.table.file, seen=near[0] if near else None, remedy=remedy)
+        remedy = f"{choose_from(wanted, cells)}; name it under `columns:`, as in {wanted}: THEIR_NAME"
+        return InputError(f"there is no column {wanted!r}", file=file, remedy=remedy)

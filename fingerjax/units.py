@@ -1,8 +1,8 @@
 """The door for units: every outside number becomes mm, N, MPa, s, rad or Hz here, and nowhere else.
 
 A unit is said by the end of a column's name (`force_gf`) or by a sidecar, and is converted by pint. What may
-be written
-is listed in `ACCEPTED`, because pint understands far more than a laboratory means: to pint `px` is 1/96 inch.
+be written is listed in `ACCEPTED`, because pint understands far more than a laboratory means: to pint `px`
+is 1/96 inch.
 """
 
 from __future__ import annotations
@@ -71,8 +71,7 @@ def factor(unit: str | None, dimension: str, column: str = "value") -> float:
     """How many internal units one `unit` is: `factor("gf", "force")` is 9.80665e-3 (N).
 
     **Raises** `InputError` naming `column` and the accepted units, where the unit is missing, not
-    understood, or of
-    another dimension.
+    understood, or of another dimension.
     """
     allowed = ACCEPTED[dimension]
     if unit is None or unit == "":

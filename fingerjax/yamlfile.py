@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from .errors import InputError
 
@@ -44,7 +44,7 @@ class Document:
         """Where values below `prefix` were written; a key that is absent is placed at the nearest one above
         it.
         """
-        return lambda keys: (self.file, place(keys, self._line(prefix + keys)))
+        return lambda keys: (self.file, place(prefix + keys, self._line(prefix + keys)))
 
     def _line(self, keys: Keys) -> int | None:
         known = (keys[:end] for end in range(len(keys), 0, -1) if keys[:end] in self.lines)
@@ -99,8 +99,7 @@ def read_yaml(file: Path) -> Document:
     """Read one YAML document.
 
     **Raises** `InputError` with the line: text that is not YAML, a key written twice, an object of Python's
-    own, a value
-    that contains itself.
+    own, nesting too deep.
     """
     loader = _Loader(read_text(file))
     try:
@@ -110,6 +109,8 @@ def read_yaml(file: Path) -> Document:
         content = loader.construct_document(node) if node is not None else None
     except yaml.YAMLError as error:
         raise _unreadable(file, error) from None
+    except RecursionError:
+        raise InputError("nested too deeply", file=file, remedy="see DATA.md for an example") from None
     finally:
         loader.dispose()
     return Document(file, content, lines)

@@ -6,7 +6,7 @@ import math
 
 import jax
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fingerjax._results import RESULTS
@@ -20,6 +20,7 @@ BOTH_WAYS = [MODULUS, POISSON, OFFSET]
 
 
 @given(st.sampled_from(BOTH_WAYS), st.floats(0.001, 0.999))
+@settings(deadline=None)
 def test_there_and_back(parameter, share):
     value = parameter.lower + share * (parameter.upper - parameter.lower)
     assert float(parameter.natural(parameter.raw(value))) == pytest.approx(value, rel=1e-12, abs=1e-14)
@@ -37,6 +38,7 @@ def test_slope_is_the_derivative(parameter, raw):
 
 
 @given(st.sampled_from([MODULUS, OFFSET]), st.floats(-60.0, 60.0))
+@settings(deadline=None)
 def test_raw_limits_hold_the_value_inside(parameter, raw):
     low, high = parameter.raw_limits()
     value = float(parameter.natural(min(max(raw, low), high)))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fingerjax.errors import InputError
@@ -71,6 +71,7 @@ def test_every_listed_unit_converts(unit, dimension):
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1), st.sampled_from(LISTED))
+@settings(deadline=None)
 def test_conversion_is_a_factor(values, listed):
     array = np.array(values)
     inside = to_internal(array, *listed)

@@ -1,0 +1,195 @@
+"""What a checked study holds: records in internal units, and the parameters of its model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError
+from .indenter_spec import IndenterSpec
+from .layers import SOFT_LAYERS
+from .measurements import Measurement, Receptor
+from .parameters import Parameter
+from .spelling import choose_from
+from .study_keys import Finger, Model
+
+
+@dataclasses.dataclass(frozen=True)
+class Prior:
+    """A value measured elsewhere: normal about `value` (internal unit), standard deviation `sd` in the same
+    unit.
+    """
+
+    value: float
+    sd: float
+
+    @property
+    def relative_sd(self) -> float:
+        """`sd` as a share of `value`."""
+        return self.sd / self.value
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Which parameters move.
+
+    - `free`: their names; every spike-rate file's scale and threshold are among them.
+    - `tie`: groups that share one value, that of their first member.
+    - `per`: name -> the label column (`subject`, ...) of which every value has its own; in a tie it holds
+      for the group.
+    - `priors`: name -> what was measured elsewhere.
+    """
+
+    free: tuple[str, ...] = ()
+    tie: tuple[tuple[str, ...], ...] = ()
+    per: dict[str, str] = dataclasses.field(default_factory=dict)
+    priors: dict[str, Prior] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldOut:
+    """Rows kept from the fit: of one measurement, where every column has one of the values (internal
+    units).
+    """
+
+    measurement: str
+    where: dict[str, tuple[float | str, ...]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnose:
+    """`effects`: `all`, `none`, or a tuple of names; `hold_out`: empty where whole conditions are held out
+    in turn.
+    """
+
+    effects: str | tuple[str, ...] = "all"
+    hold_out: tuple[HeldOut, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class TableRow:
+    """One line of a table of forces: `force` in N at `displacement` in mm, and the published `modulus` in
+    MPa.
+    """
+
+    indenter: str
+    subject: str
+    force: float
+    displacement: float
+    modulus: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class ForceTable:
+    """Options of `kind: table`: the rows, and the indenter of each name in them; `controlled` says what was
+    imposed.
+    """
+
+    rows: tuple[TableRow, ...]
+    indenters: dict[str, IndenterSpec]
+    controlled: str
+
+
+@dataclasses.dataclass(frozen=True)
+class LayerStudy:
+    """Options of `kind: layer_study`.
+
+    - `models`: names such as `m43338`; the first is what the others are compared with.
+    - `depth`: mm, of every profile; `span`, `spacing`: mm, the profile goes from -span to span.
+    """
+
+    models: tuple[str, ...]
+    depth: float
+    indenter: IndenterSpec
+    span: float
+    spacing: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Study:
+    """One study, checked.
+
+    - `kind`: `fit`, `table`, `layer_study` or `predict`.
+    - `finger`, `model`: as written, see `study_keys`; `sections` is where the geometry's CSV is, None for a
+      preset.
+    - `missing_data`: files in the data folder that are not there; while there are any, `fallback` (if not
+      None) is the name of the study to run instead, and `measurements` holds only what could be read.
+    - `options`: of a `table` or a `layer_study`; None for the other kinds, and where its file is missing.
+    """
+
+    name: str
+    kind: str
+    file: Path
+    finger: Finger
+    sections: Path | None
+    model: Model
+    receptor: Receptor | None
+    measurements: tuple[Measurement, ...]
+    fit: Fit
+    diagnose: Diagnose | None
+    options: ForceTable | LayerStudy | None = None
+    missing_data: tuple[str, ...] = ()
+    fallback: str | None = None
+    notes: str = ""
+    written: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def measurement(self, name: str) -> Measurement:
+        """One of the measurements. **Raises** `InputError` naming the nearest where there is none of that
+        name.
+        """
+        by_name = {measurement.name: measurement for measurement in self.measurements}
+        if name not in by_name:
+            raise InputError(
+                f"study {self.name!r} has no measurement {name!r}", remedy=choose_from(name, by_name)
+            )
+        return by_name[name]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Every number of the model that a fit may free, at its start value and with generous limits."""
+        return base_parameters(self.model, self.measurements)
+
+
+def base_parameters(model: Model, measurements: Sequence[Measurement] = ()) -> tuple[Parameter, ...]:
+    """The parameters of a model and of the afferents that were recorded.
+
+    `<layer>.modulus` (MPa), `poisson_ratio` or `<layer>.poisson_ratio`, and for every spike-rate measurement
+    its `scale` (Hz/MPa) and `threshold` (MPa): rate = scale * max(quantity - threshold, 0). The bone's
+    modulus is there where it is elastic.
+    """
+    afferents = [one for one in measurements if one.kind == "spike_rate"]
+    return (
+        *_moduli(model),
+        *_poisson_ratios(model),
+        *(p for one in afferents for p in _afferent(model, one)),
+    )
+
+
+def _moduli(model: Model) -> list[Parameter]:
+    moduli = model.moduli()
+    soft = [Parameter(f"{layer}.modulus", moduli[layer], "MPa", "log", 1e-6, 1e4) for layer in SOFT_LAYERS]
+    if model.bone_modulus() is None:
+        return soft
+    return [*soft, Parameter("bone.modulus", moduli["bone"], "MPa", "log", 1e-6, 1e12)]
+
+
+def _poisson_ratios(model: Model) -> list[Parameter]:
+    ratios = model.poisson_ratios()
+    if not model.has_layered_poisson_ratio():
+        return [Parameter("poisson_ratio", ratios["epidermis"], "1", "logit", 0.0, 0.5)]
+    layers = SOFT_LAYERS if model.bone_modulus() is None else tuple(ratios)
+    return [Parameter(f"{layer}.poisson_ratio", ratios[layer], "1", "logit", 0.0, 0.5) for layer in layers]
+
+
+def _afferent(model: Model, measurement: Measurement) -> list[Parameter]:
+    # Starts only. A quarter of strain in the dermis, where the ending lies, is taken to give the largest
+    # rate seen.
+    density = 0.5 * model.moduli()["dermis"] * 0.25**2
+    scale = max(float(measurement.measured.max()), 1.0) / density
+    return [
+        Parameter(f"{measurement.name}.scale", scale, "Hz/MPa", "log", scale * 1e-9, scale * 1e9),
+        Parameter(
+            f"{measurement.name}.threshold", 0.1 * density, "MPa", "log", density * 1e-9, density * 1e9
+        ),
+    ]
