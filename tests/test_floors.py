@@ -14,14 +14,17 @@ import pytest
 PACKAGE = Path(__file__).resolve().parent.parent / "fingerjax"
 
 FLOORS: dict[str, tuple[str, ...]] = {
-    "words": ("errors", "layers", "units", "parameters", "_results", "_types"),
+    "words": (
+        *("errors", "layers", "spelling", "yamlfile", "csvfile"),
+        *("units", "parameters", "_results", "_types"),
+    ),
     "shape": ("geometry", "mesh", "finger"),
     "mechanics": ("fem",),
     "touching": ("contact",),
     "instruments": ("measure", "response"),
     "effects": ("effects",),
     "forward": ("forward",),
-    "experiments": ("measurements", "study"),
+    "experiments": ("strict", "tidy", "indenter_spec", "measurements", "study_keys", "study"),
     "identify": ("identify", "loop"),
     "report": ("report", "commands", "__main__"),
 }
