@@ -1,0 +1,57 @@
+"""When a finished study of a killed run may be used again: nothing that it was made from has changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import fingerjax
+from fingerjax.report.records import plain
+from fingerjax.study import SHARED, Study
+
+
+def study_key(study: Study, data: Path | None) -> str:
+    """A hash of the study as written, every file that it names (with its sidecar), and the program."""
+    digest = hashlib.sha256()
+    said = {"name": study.name, "written": plain(study.written), "missing": list(study.missing_data)}
+    digest.update(json.dumps(said, sort_keys=True).encode())
+    for path in sorted(set(named_files(study, data))):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    digest.update(_program().encode())
+    return digest.hexdigest()
+
+
+def named_files(study: Study, data: Path | None) -> Iterator[Path]:
+    """Every file that a text in the study names, and the sidecars beside them."""
+    for text in _texts(study.written):
+        folder = data if text.startswith(SHARED) else study.file.parent
+        path = folder / text.removeprefix(SHARED).lstrip("/") if folder is not None else None
+        if path is not None and len(text) < 1000 and path.is_file():
+            yield path
+            if path.suffix == ".csv" and path.with_suffix(".yaml").is_file():
+                yield path.with_suffix(".yaml")
+
+
+def _texts(said: Any) -> Iterator[str]:
+    if isinstance(said, str):
+        yield said
+    elif isinstance(said, dict):
+        for entry in said.values():
+            yield from _texts(entry)
+    elif isinstance(said, (list, tuple)):
+        for entry in said:
+            yield from _texts(entry)
+
+
+@cache
+def _program() -> str:
+    """The version, and the text of the package: a change of the code asks for a new result."""
+    digest = hashlib.sha256(fingerjax.__version__.encode())
+    root = Path(fingerjax.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()

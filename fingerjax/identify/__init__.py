@@ -1,0 +1,20 @@
+"""From residuals to parameters, and what the data can and cannot tell about them."""
+
+from __future__ import annotations
+
+from fingerjax.identify.fit import Fit, Health, Problem, Step, fit
+from fingerjax.identify.sensitivity import Sensitivity, sensitivity
+from fingerjax.identify.uncertainty import Estimate, Uncertainty, uncertainty
+
+__all__ = [
+    "Estimate",
+    "Fit",
+    "Health",
+    "Problem",
+    "Sensitivity",
+    "Step",
+    "Uncertainty",
+    "fit",
+    "sensitivity",
+    "uncertainty",
+]
