@@ -30,18 +30,18 @@ from .study_records import (
 from .yamlfile import Document, Origin, located, read_yaml
 
 __all__ = [
-    "load_studies",
     "Diagnose",
+    "Finger",
     "Fit",
     "ForceTable",
     "HeldOut",
     "LayerStudy",
+    "Model",
     "Prior",
     "Study",
     "TableRow",
     "base_parameters",
-    "Model",
-    "Finger",
+    "load_studies",
 ]
 
 VERSION = 1

@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "fingerjax"
 
 FLOORS: dict[str, tuple[str, ...]] = {
     "words": (
-        *("errors", "layers", "spelling", "yamlfile", "csvfile"),
+        *("errors", "layers", "spelling", "yamlfile", "csvfile", "strict", "tidy"),
         *("units", "parameters", "_results", "_types"),
     ),
     "shape": ("geometry", "mesh", "finger"),
@@ -23,10 +23,10 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "touching": ("contact",),
     "instruments": ("measure", "response"),
     "effects": ("effects",),
+    "experiments": ("indenter_spec", "measurements", "study_keys", "study_records", "study_reader", "study"),
     "forward": ("forward",),
-    "experiments": ("strict", "tidy", "indenter_spec", "measurements", "study_keys", "study"),
     "identify": ("identify", "loop"),
-    "report": ("report", "commands", "__main__"),
+    "report": ("report", "runners", "commands", "__main__"),
 }
 LEVEL = {room: level for level, rooms in enumerate(FLOORS.values()) for room in rooms}
 ROOF = len(FLOORS)

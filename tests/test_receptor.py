@@ -41,7 +41,7 @@ def test_simple_shear():
 @pytest.mark.parametrize("name", felt.QUANTITIES)
 def test_derivatives_are_finite_at_repeated_principal_values(name):
     for strain in ((0.0,) * 6, (-0.01, -0.01, -0.01, 0, 0, 0), (0.005, -0.01, 0.005, 0, 0, 0)):
-        value = lambda e: felt.QUANTITIES[name](felt.Receptor(e, jnp.asarray(E), jnp.asarray(NU)))  # noqa: B023, E731
+        value = lambda e: felt.QUANTITIES[name](felt.Receptor(e, jnp.asarray(E), jnp.asarray(NU)))  # noqa: E731
         assert np.all(np.isfinite(jax.grad(value)(jnp.asarray(strain, float))))
 
 

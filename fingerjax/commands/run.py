@@ -6,7 +6,7 @@ import dataclasses
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -23,12 +23,9 @@ from fingerjax.errors import InputError
 from fingerjax.report.page import page
 from fingerjax.report.records import Context, RunFolder, StudyResult, run_record
 from fingerjax.report.tables import terminal
+from fingerjax.runners import RUNNERS, Runner
 from fingerjax.spelling import choose_from
 from fingerjax.study import Study, load_studies
-
-Runner = Callable[[Study, Context], StudyResult]
-RUNNERS: dict[str, Runner] = {}
-"""What is done for each kind of study."""
 
 
 def run(

@@ -403,7 +403,7 @@ def _positive(shape: AbstractIndenter, *names: str) -> None:
 def _rounded(shape: AbstractIndenter, size: str, share: float) -> None:
     """Check a size and the edge radius that must fit into `share` of it."""
     _positive(shape, size)
-    width, edge = getattr(shape, size), getattr(shape, "edge_radius")
+    width, edge = getattr(shape, size), shape.edge_radius
     if _traced(width, edge) or np.ndim(width) or np.ndim(edge):
         return
     if not 0.0 <= float(edge) <= share * float(width) * (1.0 + 1e-12):

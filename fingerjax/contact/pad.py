@@ -306,7 +306,7 @@ def _stack(pads: Sequence[Pad]) -> Pad:
 def _filled(leaf: Array, length: int) -> Array:
     """Repeat index 0 and positions; areas and flags are filled with 0."""
     short = length - len(leaf)
-    repeated = jnp.zeros if leaf.dtype == bool or leaf.ndim < 3 and leaf.dtype != int else None
+    repeated = jnp.zeros if leaf.dtype == bool or (leaf.ndim < 3 and leaf.dtype != int) else None
     filler = jnp.zeros((short, *leaf.shape[1:]), leaf.dtype) if repeated else jnp.broadcast_to(leaf[:1], (short, *leaf.shape[1:]))
     return jnp.concatenate([leaf, filler])
 

@@ -25,9 +25,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array
 
 from fingerjax._results import RESULTS
+from fingerjax.forward.problem import Health, Problem
 from fingerjax.parameters import Parameter
 
 DAMPING = 1e-3  # first Levenberg-Marquardt parameter, in units of the squared column lengths (Marquardt 1963)
@@ -36,46 +37,6 @@ LAST_LOGIT = 11.5  # raw limits of a logit parameter: 1e-5 of its span from eith
 PERFECT = 1e-3  # residuals of this many sigma count as perfect: a smaller one is not worth a step
 NEAR = 1e-3  # standard errors from the optimum at which a fit that cannot go on counts as arrived
 REFUSED = 10  # failed evaluations in all after which a fit gives up
-
-
-class Health(eqx.Module):
-    """How the solves and contacts inside one evaluation went: the worst of all of them.
-
-    - `converged`: did every one of them converge?
-    - `iterations`: the most iterations any of them took.
-    - `residual`: the largest true relative residual.
-    """
-
-    converged: Bool[Array, ""]
-    iterations: Int[Array, ""]
-    residual: Float[Array, ""]
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A least-squares problem: free parameters, and whitened residuals as a function of them.
-
-    **Arguments:**
-
-    - `parameters`: the free ones, in the order of the raw vector.
-    - `residuals`: raw vector (p,) -> (residuals (rows,), `Health`); a residual is (prediction - data) /
-      sigma. Traceable by jax. Rows of prior knowledge come last.
-    - `blocks`: the rows of each measurement; those of prior knowledge are called `prior`.
-    - `sigma_source`: for each measurement `stated`, `replicates` or `assumed`.
-    """
-
-    parameters: tuple[Parameter, ...]
-    residuals: Callable[[Array], tuple[Array, Health]]
-    blocks: dict[str, slice]
-    sigma_source: dict[str, str]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(parameter.name for parameter in self.parameters)
-
-    def start(self) -> np.ndarray:
-        """Raw start values, (p,)."""
-        return np.array([parameter.raw() for parameter in self.parameters], dtype=float)
 
 
 @dataclass(frozen=True)

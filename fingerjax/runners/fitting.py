@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 
 from .._results import RESULTS
@@ -26,21 +29,21 @@ def fit_study(study: Study, context: Context) -> StudyResult:
     problem = assembled.problem()
     found = fit(problem, progress=lambda step: context.tell(min(0.35 + 0.05 * step.step, 0.95), f"step {step.step}, chi2 {step.chi2:.4g}"))
     known = uncertainty(found)
-    base = {
-        "name": study.name,
-        "title": study.notes.split(". ")[0] or f"Fit of {', '.join(one.name for one in study.measurements)}",
-        "verdict": words.verdict(found, known),
-        "result": found.result,
-        "warnings": words.warnings(found, known),
-        "notes": [study.notes] if study.notes else [],
-        "meshes": {assembled.solid.name: mesh_record(assembled.finger)},
-    }
+    begun = StudyResult(
+        name=study.name,
+        title=study.notes.split(". ")[0] or f"Fit of {', '.join(one.name for one in study.measurements)}",
+        verdict=words.verdict(found, known),
+        result=found.result,
+        warnings=words.warnings(found, known),
+        notes=[study.notes] if study.notes else [],
+        meshes={assembled.solid.name: mesh_record(assembled.finger)},
+    )
     if not found.settled:
-        return StudyResult(**base, fit=fit_record(found, known))
-    return _settled(study, assembled, found, known, base)
+        return dataclasses.replace(begun, fit=fit_record(found, known))
+    return _settled(study, assembled, found, known, begun)
 
 
-def _settled(study: Study, assembled: Assembled, found: Fit, known: Uncertainty, base: dict) -> StudyResult:
+def _settled(study: Study, assembled: Assembled, found: Fit, known: Uncertainty, begun: StudyResult) -> StudyResult:
     sigma = {one.name: noise_of(one)[0] for one in study.measurements}
     record = fit_record(found, known, misfit(found, sigma, {one.name: one.unit for one in study.measurements}))
     seen = sensitivity(found, sigma)
@@ -48,10 +51,12 @@ def _settled(study: Study, assembled: Assembled, found: Fit, known: Uncertainty,
     tables = [parameter_table(known, seen), residual_table(record), correlation_table(known)]
     tables += _ratios(assembled, found, known)
     pictures = [picture for one in study.measurements if (picture := drawn(one, rows(one, predicted[one.name], sigma[one.name])))]
-    return StudyResult(**base, fit=record, tables=[table for table in tables if table.rows], figures=[*pictures, *_about(found, record)])
+    return dataclasses.replace(
+        begun, fit=record, tables=[table for table in tables if table.rows], figures=[*pictures, *_about(found, record)]
+    )
 
 
-def _about(found: Fit, record: dict) -> list[Figure]:
+def _about(found: Fit, record: dict[str, Any]) -> list[Figure]:
     several = [figures.correlations(record["correlations"])] if len(found.problem.parameters) > 1 else []
     return [*several, figures.fit_path([{"step": s.step, "chi2": s.chi2, "gradient": s.gradient, "accepted": s.accepted} for s in found.history])]
 
@@ -89,15 +94,21 @@ def predict_study(study: Study, context: Context) -> StudyResult:
     assembled = assemble(study)
     context.tell(0.4, "reading")
     prediction = assembled.predict()
-    healthy = bool(prediction.health.converged)
-    base = {"name": study.name, "title": "Prediction", "meshes": {assembled.solid.name: mesh_record(assembled.finger)}}
-    if not healthy:
-        why = complaint(prediction)
-        return StudyResult(**base, verdict=f"Not converged: {why.value}", result=RESULTS.not_converged, warnings=[why.value])
+    why = complaint(prediction)
+    begun = StudyResult(study.name, "Prediction", f"Not converged: {why.value}", RESULTS.not_converged, warnings=[why.value])
+    begun = dataclasses.replace(begun, meshes={assembled.solid.name: mesh_record(assembled.finger)})
+    if why is not RESULTS.successful:
+        return begun
     tidy = [rows(one, np.asarray(prediction.readings[i]), noise_of(one)[0]) for i, one in enumerate(study.measurements)]
-    tables = [Table(one.name, f"{one.name}: measured and predicted", each) for one, each in zip(study.measurements, tidy, strict=True)]
     pictures = [drawn(one, each) for one, each in zip(study.measurements, tidy, strict=True)]
-    return StudyResult(**base, verdict="Predicted at the study's own values; nothing was fitted.", tables=tables, figures=[p for p in pictures if p])
+    return dataclasses.replace(
+        begun,
+        verdict="Predicted at the study's own values; nothing was fitted.",
+        result=RESULTS.successful,
+        warnings=[],
+        tables=[Table(one.name, f"{one.name}: measured and predicted", each) for one, each in zip(study.measurements, tidy, strict=True)],
+        figures=[picture for picture in pictures if picture],
+    )
 
 
 def complaint(prediction: Prediction) -> RESULTS:

@@ -37,13 +37,13 @@ def force_table(study: Study, context: Context) -> StudyResult:
     context.tell(0.5, "pressing")
     prediction = assembled.predict()
     why = complaint(prediction)
-    base = {"name": study.name, "title": study.notes.split(". ")[0] or "Moduli from forces", "notes": [study.notes]}
-    base["meshes"] = {assembled.solid.name: mesh_record(assembled.finger)}
+    title, verdict = study.notes.split(". ")[0] or "Moduli from forces", f"Not converged: {why.value} No modulus is reported."
+    begun = StudyResult(study.name, title, verdict, RESULTS.not_converged, warnings=[why.value], notes=[study.notes])
+    begun = dataclasses.replace(begun, meshes={assembled.solid.name: mesh_record(assembled.finger)})
     if why is not RESULTS.successful:
-        verdict = f"Not converged: {why.value} No modulus is reported."
-        return StudyResult(**base, verdict=verdict, result=RESULTS.not_converged, warnings=[why.value])
+        return begun
     forces = {one.name: np.asarray(reading) for one, reading in zip(assembled.study.measurements, prediction.readings, strict=True)}
-    return _result(base, table, forces, assembled)
+    return _result(begun, table, forces, assembled)
 
 
 def _measurements(table: ForceTable) -> tuple[Measurement, ...]:
@@ -69,7 +69,7 @@ def _with_radius(spec: IndenterSpec, radius: float) -> IndenterSpec:
     return dataclasses.replace(spec, dimensions={**spec.dimensions, "radius": radius, "edge_radius": share * radius})
 
 
-def _result(base: dict, table: ForceTable, forces: dict[str, np.ndarray], assembled: Assembled) -> StudyResult:
+def _result(begun: StudyResult, table: ForceTable, forces: dict[str, np.ndarray], assembled: Assembled) -> StudyResult:
     modulus = assembled.model.wired.fixed["epidermis.modulus"]
     ours, labels, slopes = [], [], []
     for name in table.indenters:
@@ -80,17 +80,25 @@ def _result(base: dict, table: ForceTable, forces: dict[str, np.ndarray], assemb
             labels.append({"indenter": name, "subject": row.subject, "force_gf": row.force / GRAM_FORCE, "displacement_mm": row.displacement})
     paper = [row.modulus for name in table.indenters for row in table.rows if row.indenter == name]
     beside = beside_paper(labels, ours, paper)
-    for row, slope in zip(beside, slopes, strict=True):
-        row["our_slope_MPa_per_gf"] = slope
-        row["paper_slope_MPa_per_gf"] = None if row["paper_epidermis_modulus_MPa"] is None else row["paper_epidermis_modulus_MPa"] / row["force_gf"]
+    for line, slope in zip(beside, slopes, strict=True):
+        line["our_slope_MPa_per_gf"] = slope
+        theirs = line["paper_epidermis_modulus_MPa"]
+        line["paper_slope_MPa_per_gf"] = None if theirs is None else theirs / line["force_gf"]
     means = mean_and_sd(beside, group="indenter")
     tips = _tips(table, forces, modulus)
     tables = [Table("moduli", "Epidermal modulus behind each force", beside), Table("means", "Mean and standard deviation", means)]
     growth = _growth(table, forces)
     tables += [Table("growth", "How the model's force grows with travel", growth)] if growth else []
     tables += [Table("tip_radius", "What the radius of the tip does", tips)] if tips else []
-    verdict, notes = _verdict(means, beside), [*base.pop("notes"), *_tip_notes(tips)]
-    return StudyResult(**base, verdict=verdict, tables=tables, figures=_figures(beside, tips), notes=notes)
+    return dataclasses.replace(
+        begun,
+        verdict=_verdict(means, beside),
+        result=RESULTS.successful,
+        warnings=[],
+        tables=tables,
+        figures=_figures(beside, tips),
+        notes=[*begun.notes, *_tip_notes(tips)],
+    )
 
 
 def _tips(table: ForceTable, forces: dict[str, np.ndarray], modulus: float) -> list[Row]:

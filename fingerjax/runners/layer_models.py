@@ -7,6 +7,8 @@ matters least; stiffer layers 3 and 4 narrow it; the deeper the layer, the farth
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -29,17 +31,17 @@ def layer_models(study: Study, context: Context) -> StudyResult:
     assert isinstance(options, LayerStudy)
     context.tell(0.02, "meshing")
     assembled = assemble(dataclasses.replace(study, measurements=(_profile(options),)))
-    base = {"name": study.name, "title": study.notes.split(". ")[0] or "Layer study", "notes": [study.notes]}
-    base["meshes"] = {assembled.solid.name: mesh_record(assembled.finger)}
+    begun = StudyResult(study.name, study.notes.split(". ")[0] or "Layer study", "", RESULTS.not_converged, notes=[study.notes])
+    begun = dataclasses.replace(begun, meshes={assembled.solid.name: mesh_record(assembled.finger)})
     profiles: dict[str, np.ndarray] = {}
     for number, model in enumerate(options.models):
         context.tell(0.3 + 0.65 * number / len(options.models), model)
         prediction = assembled.predict(_moduli(assembled, model))
         why = complaint(prediction)
         if why is not RESULTS.successful:
-            return StudyResult(**base, verdict=f"Not converged at {model}: {why.value}", result=RESULTS.not_converged, warnings=[why.value])
+            return dataclasses.replace(begun, verdict=f"Not converged at {model}: {why.value}", warnings=[why.value])
         profiles[model] = np.asarray(prediction.readings[0])
-    return _result(base, options, assembled.study.measurements[0].table["distance"], profiles)
+    return _result(begun, options, assembled.study.measurements[0].table["distance"], profiles)
 
 
 def _profile(options: LayerStudy) -> Measurement:
@@ -54,15 +56,16 @@ def _moduli(assembled: Assembled, model: str) -> dict[str, float]:
     return {f"{layer}.modulus": start[layer] for layer in SOFT_LAYERS}
 
 
-def _result(base: dict, options: LayerStudy, distance: np.ndarray, profiles: dict[str, np.ndarray]) -> StudyResult:
+def _result(begun: StudyResult, options: LayerStudy, distance: np.ndarray, profiles: dict[str, np.ndarray]) -> StudyResult:
     reference = options.models[0]
     changes = [change for model in options.models[1:] if (change := _change(reference, model)) is not None]
     influence = [_influence(layer, up, distance, profiles[model] - profiles[reference], options.depth) for model, layer, up in changes]
     findings = check_findings(influence)
     kept = sum(row["holds"] == "yes" for row in findings)
     tidy = _rows(reference, changes, distance, profiles, options.depth)
-    return StudyResult(
-        **base,
+    return dataclasses.replace(
+        begun,
+        result=RESULTS.successful,
         verdict=f"{kept} of the paper's {len(findings)} findings about layers hold on this finger.",
         tables=[Table("findings", "The paper's findings, checked", findings), Table("influence", "What ten times the modulus of a layer does", influence)],
         figures=[_figure(tidy, reference, options)],
@@ -107,7 +110,7 @@ def check_findings(influence: list[Row]) -> list[Row]:
     ]
 
 
-def _finding(text: str, needed: list[int], there: dict, holds) -> Row:
+def _finding(text: str, needed: list[int], there: dict[int, Any], holds: Callable[[], bool]) -> Row:
     if not set(needed) <= set(there):
         return {"finding": text, "holds": "not tried", "numbers": ""}
     numbers = "; ".join(f"layer {layer}: {_told(there[layer])}" for layer in needed)
