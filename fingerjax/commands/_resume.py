@@ -11,7 +11,8 @@ from typing import Any
 
 import fingerjax
 from fingerjax.report.records import plain
-from fingerjax.study import SHARED, Study
+from fingerjax.study import Study
+from fingerjax.study_reader import SHARED
 
 
 def study_key(study: Study, data: Path | None) -> str:

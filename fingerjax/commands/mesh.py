@@ -35,7 +35,8 @@ def mesh(
 
     \b
     Example:
-      fingerjax mesh experiments.yaml --study table1 --out human.vtu --picture human.png
+      fingerjax mesh experiments.yaml --study table1 --out human.vtu
+      fingerjax mesh experiments.yaml --study table1 --picture human.png
     """
     with told():
         studies = load_studies(file)

@@ -72,7 +72,7 @@ def choose(studies: dict[str, Study], names: Sequence[str]) -> tuple[list[Study]
         if name not in studies:
             raise InputError("no such study", place="--study", seen=name, remedy=choose_from(name, studies))
     stand_ins = {one.fallback for one in studies.values()} - {None}
-    wanted = [studies[name] for name in names] or [s for s in studies.values() if s.name not in stand_ins]
+    wanted = [studies[name] for name in names or [name for name in studies if name not in stand_ins]]
     ready, absent = [], []
     for one in wanted:
         if not one.missing_data:
@@ -81,7 +81,8 @@ def choose(studies: dict[str, Study], names: Sequence[str]) -> tuple[list[Study]
             ready.append(_standing_in(studies[one.fallback], one))
         elif names:
             raise InputError(
-                "measured data are not there", file=one.file, place=one.name, seen=", ".join(one.missing_data),
+                "measured data are not there", file=one.file, place=one.name,
+                seen=", ".join(one.missing_data),
                 remedy="give the folder that holds them with --data or FINGERJAX_DATA",
             )  # fmt: skip
         else:
@@ -109,7 +110,9 @@ def _run_all(
     results: list[StudyResult] = []
     with Board([one.name for one in chosen], _seconds_before(folder.out), console()) as board:
         for one in skipped:
-            board.line(f"{one.name}: left out, measured data are not there: {', '.join(one.missing_data)}")
+            results.append(_left_out(one))
+            folder.keep("", results[-1])
+            board.line(f"{one.name}: {results[-1].verdict}")
         try:
             for one in chosen:
                 results.append(_run_one(one, folder, data, board))
@@ -120,6 +123,12 @@ def _run_all(
     command = "fingerjax " + " ".join(sys.argv[1:])
     folder.put_in_place(results, page(results, f"fingerjax: {file.name}"), run_record(results, command))
     return results
+
+
+def _left_out(study: Study) -> StudyResult:
+    missing = ", ".join(study.missing_data)
+    verdict = f"Not run: measured data are not there ({missing}); give their folder with --data."
+    return StudyResult(study.name, study.name, verdict)
 
 
 def _run_one(study: Study, folder: RunFolder, data: Path | None, board: Board) -> StudyResult:

@@ -271,7 +271,7 @@ def plain(value: Any) -> Any:
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, str) or value is None or isinstance(value, bool):
         return value
-    if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__"):
+    if isinstance(value, (np.ndarray, jax.Array)):
         return plain(np.asarray(value).tolist())
     if isinstance(value, Iterable):
         return [plain(entry) for entry in value]

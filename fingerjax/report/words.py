@@ -47,8 +47,8 @@ def warnings(fit: Fit, known: Uncertainty) -> list[str]:
     assumed = [name for name, kind in fit.problem.sigma_source.items() if kind == "assumed"]
     if assumed:
         said.append(
-            f"The noise of {', '.join(assumed)} was assumed, not measured: intervals come from the scatter of "
-            "the residuals, and nothing can be said about whether the model is adequate."
+            f"The noise of {', '.join(assumed)} was assumed, not measured: intervals come from the scatter "
+            "of the residuals, and nothing can be said about whether the model is adequate."
         )
     elif known.variance > POOR:
         said.append(
