@@ -9,7 +9,6 @@ from jaxtyping import Array, Bool, Float, Int
 from fingerjax.contact.complementarity import complementary, held
 from fingerjax.contact.pad import Interface
 
-
 # Share of the force that would close a hat's gap, at which area is read off: with it Hertz's contact radius on 2 to 5 facet edges is
 # right to 1 % wherever the mesh lies (1 would put it an eighth of an edge too small).
 CLOSING = 0.45
@@ -105,7 +104,11 @@ def _positive_length(at: Float[Array, "r 2"]) -> Float[Array, " r"]:
     """Share of a segment on which a linear function with these end values is positive."""
     high, low = jnp.max(at, axis=1), jnp.min(at, axis=1)
     mixed = (high > 0) & (low < 0)
-    return jnp.where(mixed, high / jnp.where(mixed, high - low, 1.0), jnp.where(low >= 0, jnp.where(high > 0, 1.0, 0.0), 0.0))
+    return jnp.where(
+        mixed,
+        high / jnp.where(mixed, high - low, 1.0),
+        jnp.where(low >= 0, jnp.where(high > 0, 1.0, 0.0), 0.0),
+    )
 
 
 def _positive_area(at: Float[Array, "r 3"]) -> Float[Array, " r"]:
