@@ -26,14 +26,16 @@ def lattice(elements: int, edge: float, lift=lambda x, z: 0.0 * x) -> Skin:
     i, j = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
     x, z = ((i - elements) * edge / 2).ravel(), ((j - elements) * edge / 2).ravel()
     nodes = np.column_stack([x, lift(x, z), z])
-    at = lambda a, b: (a * side + b).ravel()  # noqa: E731
+    at = lambda a, b: (a * side + b).ravel()
     a, b = np.meshgrid(np.arange(0, side - 1, 2), np.arange(0, side - 1, 2), indexing="ij")
     one = [at(a, b), at(a + 2, b), at(a + 2, b + 2), at(a + 1, b), at(a + 2, b + 1), at(a + 1, b + 1)]
     two = [at(a, b), at(a + 2, b + 2), at(a, b + 2), at(a + 1, b + 1), at(a + 1, b + 2), at(a, b + 1)]
     return Skin(nodes, np.concatenate([np.stack(one, 1), np.stack(two, 1)]))
 
 
-def compliance(skin: Skin, nodes: np.ndarray, edge: float, modulus: float, periods: int = 24, fine: int = 8) -> np.ndarray:
+def compliance(
+    skin: Skin, nodes: np.ndarray, edge: float, modulus: float, periods: int = 24, fine: int = 8
+) -> np.ndarray:
     """Compliance (p, p) in mm/N of the half-space with plane-strain modulus E* = `modulus` between lattice `nodes`."""
     kinds = [(0, 0), (1, 0), (0, 1), (1, 1)]  # positions of vertex and midsides in a cell, in half edges
     count, size = 2 * fine * periods, periods * edge

@@ -63,9 +63,23 @@ def test_known_heights():
     reach = 1.2 + 0.3 * np.sin(np.radians(68))
     assert bar.covers(0.0, reach - 1e-6) and not bar.covers(0.0, reach + 1e-6)
     grating = shapes.Grating(0.5, 1.0)
-    assert [bool(grating.covers(0.0, s)) for s in (0.2, 0.3, 1.2, 1.3, -1.6)] == [True, False, False, True, True]
+    assert [bool(grating.covers(0.0, s)) for s in (0.2, 0.3, 1.2, 1.3, -1.6)] == [
+        True,
+        False,
+        False,
+        True,
+        True,
+    ]
     uneven = ALL["uneven grating"]
-    assert [bool(uneven.covers(0.0, s)) for s in (-0.24, -1.5, 1.3, 1.9, 2.6, 5.4, 5.6)] == [True, False, True, False, True, True, False]
+    assert [bool(uneven.covers(0.0, s)) for s in (-0.24, -1.5, 1.3, 1.9, 2.6, 5.4, 5.6)] == [
+        True,
+        False,
+        True,
+        False,
+        True,
+        True,
+        False,
+    ]
     assert float(shapes.Cylinder(1.0, along="z").height(0.0, 5.0)) == 0.0
     assert not ALL["profile"].covers(0.0, 1.05) and ALL["profile"].covers(0.0, 0.9)
     assert not ALL["steep step"].covers(0.0, 0.0) and ALL["steep step"].covers(0.0, 0.124)

@@ -20,7 +20,9 @@ from fingerjax.contact.pad import (
 )
 from fingerjax.errors import InputError
 
-BOWL = lattice(12, 0.5, lambda x, z: (x**2 + 0.5 * z**2) / 8.0)  # a finger pad seen from below: lowest in the middle
+BOWL = lattice(
+    12, 0.5, lambda x, z: (x**2 + 0.5 * z**2) / 8.0
+)  # a finger pad seen from below: lowest in the middle
 FLAT = lattice(8, 0.5)
 faces = jax.jit(interface)
 
@@ -42,7 +44,7 @@ def test_the_covered_area_is_that_of_the_indenter(radius):
 
 
 def test_the_covered_area_follows_the_edge():
-    wide = lambda w: jnp.sum(faces(pad(FLAT), Bar(w), (0.0, 0.03)).covered)  # noqa: E731
+    wide = lambda w: jnp.sum(faces(pad(FLAT), Bar(w), (0.0, 0.03)).covered)
     assert float(jax.grad(wide)(1.37)) == pytest.approx(4.0, rel=0.15)
 
 
@@ -59,7 +61,10 @@ def test_surface_is_located_on_curved_facets():
     bent = type(BOWL)(BOWL.nodes + 0.03 * np.sin(3 * BOWL.nodes[:, [2, 0, 1]]) * [1, 0, 1], BOWL.skin)
     columns = surface_functionals(bent, np.column_stack([x, z]) * 0.8)
     assert np.asarray(columns.sum(axis=0)).ravel() == pytest.approx(np.ones(50))
-    found = columns.T @ np.column_stack([np.zeros(len(bent.nodes)), bent.nodes[:, 0], np.zeros(len(bent.nodes))]).ravel()
+    found = (
+        columns.T
+        @ np.column_stack([np.zeros(len(bent.nodes)), bent.nodes[:, 0], np.zeros(len(bent.nodes))]).ravel()
+    )
     assert found == pytest.approx(0.8 * x, abs=1e-10)
     with pytest.raises(InputError, match="the pad lies within"):
         surface_y(BOWL, np.array([0.0, 9.0]), np.array([0.0, 0.0]))
@@ -114,7 +119,13 @@ def test_windows_are_the_pad_seen_from_each_position():
     many = windows(whole, poses)
     for i, pose in enumerate(poses):
         seen = jax.tree.map(lambda leaf: leaf[i], many)  # noqa: B023
-        face, full = interface(seen, pose.indenter, pose.origin), interface(whole, pose.indenter, pose.origin)
-        force = jnp.zeros(len(whole.nodes)).at[seen.columns].add(face.load @ jnp.where(face.overlap + 0.2 * face.area > 0, 1.0, 0.0))
-        assert np.asarray(force) == pytest.approx(np.asarray(full.load @ jnp.where(full.overlap + 0.2 * full.area > 0, 1.0, 0.0)))
+        face, full = faces(seen, pose.indenter, pose.origin), faces(whole, pose.indenter, pose.origin)
+        force = (
+            jnp.zeros(len(whole.nodes))
+            .at[seen.columns]
+            .add(face.load @ jnp.where(face.overlap + 0.2 * face.area > 0, 1.0, 0.0))
+        )
+        assert np.asarray(force) == pytest.approx(
+            np.asarray(full.load @ jnp.where(full.overlap + 0.2 * full.area > 0, 1.0, 0.0))
+        )
         assert float(face.lowest) == pytest.approx(float(full.lowest), abs=1e-12)

@@ -46,8 +46,8 @@ def complementary(
     **Arguments:** `compliance` in mm/N; `overlap` in mm at no travel; `present` marks unknowns that exist; `start`, an active set
     to begin from. Derivatives, forward and reverse, go through one solve on the final active set, which is held.
     """
-    frozen = [jax.lax.stop_gradient(value) for value in (compliance, overlap, travel, force)]
-    active, steps, settled = _settle(*frozen, present, start, max_steps)
+    problem = jax.lax.stop_gradient((compliance, overlap, travel, force))
+    active, steps, settled = _settle(problem, present, start, max_steps)
     forces, gap, travel = _on(active, present, compliance, overlap, travel, force)
     return Complementary(forces, gap, travel, active, steps, settled)
 
@@ -91,7 +91,8 @@ class _State(eqx.Module):
     done: Bool[Array, ""]
 
 
-def _settle(compliance, overlap, travel, force, present, start, max_steps):
+def _settle(problem, present, start, max_steps):
+    compliance, overlap, travel, force = problem
     k = overlap.shape[0]
     top = jnp.arange(k) == jnp.argmax(jnp.where(present, overlap, -jnp.inf))
     if start is None:

@@ -104,7 +104,11 @@ def _positive_length(at: Float[Array, "r 2"]) -> Float[Array, " r"]:
     """Share of a segment on which a linear function with these end values is positive."""
     high, low = jnp.max(at, axis=1), jnp.min(at, axis=1)
     mixed = (high > 0) & (low < 0)
-    return jnp.where(mixed, high / jnp.where(mixed, high - low, 1.0), jnp.where(low >= 0, jnp.where(high > 0, 1.0, 0.0), 0.0))
+    return jnp.where(
+        mixed,
+        high / jnp.where(mixed, high - low, 1.0),
+        jnp.where(low >= 0, jnp.where(high > 0, 1.0, 0.0), 0.0),
+    )
 
 
 def _positive_area(at: Float[Array, "r 3"]) -> Float[Array, " r"]:

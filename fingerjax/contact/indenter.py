@@ -185,7 +185,9 @@ class Grating(AbstractIndenter):
         if self.ridge.ndim == 0:
             period = self.ridge + self.groove
             return jnp.abs(s - period * jax.lax.stop_gradient(jnp.round(s / period))) - 0.5 * self.ridge
-        centre = jnp.concatenate([jnp.zeros(1), jnp.cumsum(0.5 * (self.ridge[:-1] + self.ridge[1:]) + self.groove)])
+        centre = jnp.concatenate(
+            [jnp.zeros(1), jnp.cumsum(0.5 * (self.ridge[:-1] + self.ridge[1:]) + self.groove)]
+        )
         return jnp.min(jnp.abs(s[..., None] - centre) - 0.5 * self.ridge, axis=-1)  # ... points, ridges
 
     def surface(self, x, z):
@@ -196,7 +198,11 @@ class Grating(AbstractIndenter):
 
     @property
     def feature(self) -> float | None:
-        return None if _traced(self.ridge, self.groove) else _smallest(*map(np.min, (self.ridge, self.groove)), self.edge_radius)
+        return (
+            None
+            if _traced(self.ridge, self.groove)
+            else _smallest(*map(np.min, (self.ridge, self.groove)), self.edge_radius)
+        )
 
 
 class Step(AbstractIndenter):
@@ -225,7 +231,11 @@ class Step(AbstractIndenter):
     def margin(self, x, z):
         # |h'| = pi amplitude/wavelength |cos(phase)| exceeds tan 68 deg only within arccos(...) of the middle of a steep step.
         steepest = jnp.maximum(math.pi * self.amplitude / self.wavelength, math.tan(FLANK))
-        half = jnp.arccos(jnp.minimum(math.tan(FLANK) / steepest, 1.0 - 1e-15)) * self.wavelength / (2.0 * math.pi)
+        half = (
+            jnp.arccos(jnp.minimum(math.tan(FLANK) / steepest, 1.0 - 1e-15))
+            * self.wavelength
+            / (2.0 * math.pi)
+        )
         outside = jnp.abs(_across(self.along, x, z)) - half
         return jnp.where(steepest > math.tan(FLANK), outside, -NOTHING)
 
@@ -331,7 +341,9 @@ def from_spec(
     **Raises:** `InputError` for an unknown shape, an unknown, missing or impossible dimension.
     """
     if shape not in SHAPES:
-        raise InputError("unknown indenter shape", place="shape", seen=shape, remedy=f"use one of {', '.join(SHAPES)}")
+        raise InputError(
+            "unknown indenter shape", place="shape", seen=shape, remedy=f"use one of {', '.join(SHAPES)}"
+        )
     kind, required, optional = SHAPES[shape]
     said: dict[str, object] = {name: float(value) for name, value in dimensions.items()}
     said.update({name: np.asarray(values, float) for name, values in (lists or {}).items()})
@@ -408,7 +420,9 @@ def _rounded(shape: AbstractIndenter, size: str, share: float) -> None:
         return
     if not 0.0 <= float(edge) <= share * float(width) * (1.0 + 1e-12):
         limit = f"give 0 to {share * float(width):g} mm"
-        raise InputError("edge_radius does not fit the indenter", place="edge_radius", seen=float(edge), remedy=limit)
+        raise InputError(
+            "edge_radius does not fit the indenter", place="edge_radius", seen=float(edge), remedy=limit
+        )
 
 
 def _axis(along: str) -> None:

@@ -43,7 +43,9 @@ from jaxtyping import Array, Bool, Float, Int
 from fingerjax.contact.indenter import AbstractIndenter, Line
 from fingerjax.errors import InputError
 
-STEEPEST_SKIN = 0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways and cannot be pressed
+STEEPEST_SKIN = (
+    0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways and cannot be pressed
+)
 SLIVER = 0.02  # a hat with less than this share of its own area under the indenter carries no pressure
 FAR = 1e3  # mm
 
@@ -116,7 +118,9 @@ class Interface(eqx.Module):
 def _shapes(a, b):
     """Quadratic shape functions (..., 6)."""
     c = 1.0 - a - b
-    return jnp.stack([c * (2 * c - 1), a * (2 * a - 1), b * (2 * b - 1), 4 * c * a, 4 * a * b, 4 * b * c], axis=-1)
+    return jnp.stack(
+        [c * (2 * c - 1), a * (2 * a - 1), b * (2 * b - 1), 4 * c * a, 4 * a * b, 4 * b * c], axis=-1
+    )
 
 
 def _slopes(a, b):
@@ -211,7 +215,12 @@ def _found(finger: SkinMesh, points_xz: np.ndarray) -> tuple[Pad, np.ndarray, np
         first = points[np.argmin(np.asarray(inside))]
         x0, x1, z0, z1 = (round(value, 3) for value in whole.box)
         remedy = f"the pad lies within x {x0} to {x1}, z {z0} to {z1} mm"
-        raise InputError("no skin faces -y at this (x, z)", place="surface point", seen=tuple(first.tolist()), remedy=remedy)
+        raise InputError(
+            "no skin faces -y at this (x, z)",
+            place="surface point",
+            seen=tuple(first.tolist()),
+            remedy=remedy,
+        )
     return whole, np.asarray(shape), np.asarray(facet)
 
 
@@ -224,7 +233,9 @@ def _facing_down(finger: SkinMesh) -> np.ndarray:
 def _pad(points: np.ndarray, skin: np.ndarray) -> Pad:
     nodes, facets = _renumbered(skin)
     at = points[nodes]
-    tangent = np.einsum("qda,fai->fqdi", np.asarray(_slopes(*_POINTS.T)), at[facets])  # f facet, q point, d direction, i space
+    tangent = np.einsum(
+        "qda,fai->fqdi", np.asarray(_slopes(*_POINTS.T)), at[facets]
+    )  # f facet, q point, d direction, i space
     down = -np.cross(tangent[:, :, 0], tangent[:, :, 1])[..., 1]
     weight = np.maximum(down, 0.0) * _WEIGHTS
     carrying, hats = _renumbered(facets[:, :3])
@@ -254,7 +265,9 @@ def _border(facets: np.ndarray) -> np.ndarray:
 def _reached(whole: Pad, one: Indentation) -> np.ndarray:
     """Facets that come within a quarter of the travel of the indenter (soft skin bulges), and their neighbours."""
     lowest = first_contact(whole, one.indenter, one.origin)
-    at = np.einsum("sa,fai->fsi", np.asarray(_shapes(*_SAMPLES.T)), np.asarray(whole.points)[np.asarray(whole.facets)])
+    at = np.einsum(
+        "sa,fai->fsi", np.asarray(_shapes(*_SAMPLES.T)), np.asarray(whole.points)[np.asarray(whole.facets)]
+    )
     x, z = jnp.asarray(at[..., 0] - one.origin[0]), jnp.asarray(at[..., 2] - one.origin[1])
     size = np.ptp(at[..., 0], axis=1) + np.ptp(at[..., 2], axis=1)
     near = np.asarray(one.indenter.margin(x, z)) > -size[:, None]
@@ -271,7 +284,17 @@ def _cut(whole: Pad, chosen: np.ndarray) -> Pad:
     kept, hats = _renumbered(hats)
     edge = np.isin(np.arange(len(kept)), hats[np.isin(facets[:, :3], _border(facets))])
     return eqx.tree_at(
-        lambda one: (one.points, one.nodes, one.columns, one.facets, one.hats, one.position, one.weight, one.full, one.rim),
+        lambda one: (
+            one.points,
+            one.nodes,
+            one.columns,
+            one.facets,
+            one.hats,
+            one.position,
+            one.weight,
+            one.full,
+            one.rim,
+        ),
         whole,
         (
             whole.points[columns],
@@ -306,8 +329,12 @@ def _stack(pads: Sequence[Pad]) -> Pad:
 def _filled(leaf: Array, length: int) -> Array:
     """Repeat index 0 and positions; areas and flags are filled with 0."""
     short = length - len(leaf)
-    repeated = jnp.zeros if leaf.dtype == bool or (leaf.ndim < 3 and leaf.dtype != int) else None
-    filler = jnp.zeros((short, *leaf.shape[1:]), leaf.dtype) if repeated else jnp.broadcast_to(leaf[:1], (short, *leaf.shape[1:]))
+    repeated = jnp.zeros if leaf.dtype == bool or leaf.ndim < 3 and leaf.dtype != int else None
+    filler = (
+        jnp.zeros((short, *leaf.shape[1:]), leaf.dtype)
+        if repeated
+        else jnp.broadcast_to(leaf[:1], (short, *leaf.shape[1:]))
+    )
     return jnp.concatenate([leaf, filler])
 
 
@@ -386,7 +413,7 @@ def _closer(gap, start):
         around = around / jnp.maximum(jnp.sum(around, -1, keepdims=True), 1.0)
         return jnp.take_along_axis(around, jnp.argmin(gap(around), axis=1)[:, None, None], axis=1)[:, 0]
 
-    return jax.lax.fori_loop(0, 12, look, start)
+    return jax.lax.fori_loop(0, 22, look, start)
 
 
 def interface(pad: Pad, indenter: AbstractIndenter, origin=(0.0, 0.0)) -> Interface:
@@ -402,18 +429,24 @@ def interface(pad: Pad, indenter: AbstractIndenter, origin=(0.0, 0.0)) -> Interf
     size = jnp.sqrt(jnp.maximum(pad.weight, 1e-12))
     weight = pad.weight * jnp.clip(0.5 + indenter.margin(x, z) / size, 0.0, 1.0)
     hats = jnp.asarray(_HATS)
-    local = jnp.einsum("fq,qa,qb->fab", weight, _shapes(*jnp.asarray(_POINTS.T)), hats)  # f facet, a node, b hat
+    local = jnp.einsum(
+        "fq,qa,qb->fab", weight, _shapes(*jnp.asarray(_POINTS.T)), hats
+    )  # f facet, a node, b hat
     k = pad.full.shape[0]
     load = jnp.zeros((len(pad.points), k)).at[pad.facets[:, :, None], pad.hats[:, None, :]].add(local)
     overlap = lowest + indenter.surface(x, z) - y
     area = jnp.zeros(k).at[pad.hats].add(jnp.einsum("fq,qb->fb", weight, hats))
     against = jnp.zeros(k).at[pad.hats].add(jnp.einsum("fq,fq,qb->fb", weight, overlap, hats))
-    return _without_slivers(Interface(load, against, area, pad.rim, lowest, pad.hats, jnp.sum(weight, axis=1)), pad.full)
+    return _without_slivers(
+        Interface(load, against, area, pad.rim, lowest, pad.hats, jnp.sum(weight, axis=1)), pad.full
+    )
 
 
 def _without_slivers(interface: Interface, full: Float[Array, " k"]) -> Interface:
     keep = interface.area > SLIVER * full
-    load, overlap, area = (jnp.where(keep, part, 0.0) for part in (interface.load, interface.overlap, interface.area))
+    load, overlap, area = (
+        jnp.where(keep, part, 0.0) for part in (interface.load, interface.overlap, interface.area)
+    )
     rest = interface.lowest, interface.pieces, interface.covered
     return Interface(load, overlap, area, interface.rim & keep, *rest)
 
@@ -462,7 +495,9 @@ def _line_interface(pad: Pad, line: Line, origin) -> Interface:
     at = _line_stations(pad, line, origin)
     lowest, k = jnp.min(at.clearance), at.count
     local = at.weight[:, None, None] * at.shape[:, :, None] * at.values[:, None, :]  # m point, a node, b hat
-    load = jnp.zeros((len(pad.points), k)).at[pad.facets[at.facet][:, :, None], at.hats[:, None, :]].add(local)
+    load = (
+        jnp.zeros((len(pad.points), k)).at[pad.facets[at.facet][:, :, None], at.hats[:, None, :]].add(local)
+    )
     part = at.weight[:, None] * at.values
     full = jnp.zeros(k).at[at.hats].add(part)
     overlap = jnp.zeros(k).at[at.hats].add(part * (lowest - at.clearance)[:, None])

@@ -136,7 +136,7 @@ def _receptor(measurement: Measurement) -> Receptor:
 
 def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[Focus, ...]:
     """Where the mesh must be finer than the pad's own spacing: under probes and edges smaller than it."""
-    found = {}
+    found: dict[Focus, None] = {}
     for plan in planned:
         feature = plan.indenter.feature
         wedge = type(plan.indenter).__name__ == "Line"

@@ -38,7 +38,7 @@ class Wiring:
         """The parameter that holds `name` for a row with these labels."""
         owner = self.owner[name]
         column = self.per.get(owner)
-        return f"{owner}[{labels[column]}]" if column in labels else owner
+        return f"{owner}[{labels[column]}]" if column is not None and column in labels else owner
 
     def value(self, name: str, labels: Mapping[str, str], values: Values) -> Float[Array, ""]:
         key = self.name(name, labels)

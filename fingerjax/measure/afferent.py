@@ -44,7 +44,9 @@ def rate(quantity: Float[Array, "..."], scale, threshold) -> Float[Array, "..."]
     return scale * jnp.where(above >= 0.0, above, 0.0)
 
 
-def start(quantity: np.ndarray, observed: np.ndarray, weight: np.ndarray | None = None) -> tuple[float, float]:
+def start(
+    quantity: np.ndarray, observed: np.ndarray, weight: np.ndarray | None = None
+) -> tuple[float, float]:
     """Scale and threshold that minimise sum of weight * (observed - rate(quantity))^2, found exactly.
 
     Between two neighbouring values of the quantity the same rows fire, and the problem is a straight line. So every split is

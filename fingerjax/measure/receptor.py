@@ -37,7 +37,9 @@ def stress(strain: Voigt, youngs_modulus, poisson_ratio) -> Voigt:
     """sigma = lambda tr(epsilon) 1 + 2 mu epsilon, in MPa."""
     modulus, ratio = jnp.asarray(youngs_modulus)[..., None], jnp.asarray(poisson_ratio)[..., None]
     shear = modulus / (2.0 * (1.0 + ratio))
-    bulk_part = modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)) * jnp.sum(strain[..., :3], -1, keepdims=True)
+    bulk_part = (
+        modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)) * jnp.sum(strain[..., :3], -1, keepdims=True)
+    )
     return jnp.concatenate([bulk_part + 2.0 * shear * strain[..., :3], shear * strain[..., 3:]], axis=-1)
 
 

@@ -14,10 +14,10 @@ def rows(measurement: Measurement, predicted: np.ndarray, sigma: np.ndarray) -> 
     imposed, table = measurement.imposed, measurement.table
     units = {"depth": "mm", "displacement": "mm", "force": "N", "rate": "Hz", "deflection": "mm"}
     unit = units[measurement.value]
-    found = []
+    found: list[Row] = []
     for i in range(len(measurement)):
         where = {f"{name}_mm": float(table[name][i]) for name in ("distance", "position") if name in table}
-        labels = {name: str(table[name][i]) for name in ("subject", "condition", "trial", "stimulus") if name in table}
+        labels: Row = {name: str(table[name][i]) for name in ("subject", "condition", "trial", "stimulus") if name in table}
         found.append(
             {
                 **labels,

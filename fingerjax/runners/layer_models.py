@@ -48,7 +48,8 @@ def _profile(options: LayerStudy) -> Measurement:
     count = int(round(options.span / options.spacing))
     distance = options.spacing * np.arange(-count, count + 1)
     columns = {"depth": np.full(len(distance), options.depth), "distance": distance, "deflection": np.zeros(len(distance))}
-    return Measurement("profile", "deflection_profile", columns, "deflection", None, {"": options.indenter}, "displacement", "z", None, None)
+    indenters = {"": options.indenter}
+    return Measurement("profile", "deflection_profile", columns, "deflection", None, indenters, "displacement", "z", None, None)
 
 
 def _moduli(assembled: Assembled, model: str) -> dict[str, float]:
@@ -67,7 +68,10 @@ def _result(begun: StudyResult, options: LayerStudy, distance: np.ndarray, profi
         begun,
         result=RESULTS.successful,
         verdict=f"{kept} of the paper's {len(findings)} findings about layers hold on this finger.",
-        tables=[Table("findings", "The paper's findings, checked", findings), Table("influence", "What ten times the modulus of a layer does", influence)],
+        tables=[
+            Table("findings", "The paper's findings, checked", findings),
+            Table("influence", "What a layer of ten times, or a tenth of, its modulus does; shares of the depth", influence),
+        ],
         figures=[_figure(tidy, reference, options)],
     )
 
@@ -101,12 +105,13 @@ def check_findings(influence: list[Row]) -> list[Row]:
     stiff = {row["layer"]: row for row in influence if row["change"] == "stiffer"}
     mean = {layer: np.mean([row["rms"] for row in influence if row["layer"] == layer]) for layer in {row["layer"] for row in influence}}
     centre = {layer: np.mean([row["centre_mm"] for row in influence if row["layer"] == layer]) for layer in mean}
+    deeper_is_farther = lambda: bool(np.all(np.diff([centre[k] for k in sorted(centre)]) > 0))  # noqa: E731
     return [
-        _finding("a stiffer layer 1 widens the profile", [1], stiff, lambda: stiff[1]["beyond"] > 0 and stiff[1]["near"] > 0),
+        _finding("a stiffer layer 1 widens the profile", [1], stiff, lambda: min(stiff[1]["beyond"], stiff[1]["near"]) > 0),
         _finding("a stiffer layer 2 narrows it near the load and widens it beyond", [2], stiff, lambda: stiff[2]["near"] < 0 < stiff[2]["beyond"]),
         _finding("layer 2 matters least", [1, 2, 3, 4], mean, lambda: min(mean, key=lambda layer: mean[layer]) == 2),
-        _finding("stiffer layers 3 and 4 narrow the profile", [3, 4], stiff, lambda: stiff[3]["beyond"] < 0 and stiff[4]["beyond"] < 0),
-        _finding("the deeper the layer, the farther its influence", [1, 2, 3, 4], centre, lambda: all(np.diff([centre[k] for k in sorted(centre)]) > 0)),
+        _finding("stiffer layers 3 and 4 narrow the profile", [3, 4], stiff, lambda: max(stiff[3]["beyond"], stiff[4]["beyond"]) < 0),
+        _finding("the deeper the layer, the farther its influence", [1, 2, 3, 4], centre, deeper_is_farther),
     ]
 
 
