@@ -52,16 +52,11 @@ def mesh(
 
 def finger_of(study: Study) -> Any:
     """The `Finger` of a study, meshed or from the cache."""
-    from fingerjax.geometry import Patch, Resolution, Sections, preset, solid_from_sections
-    from fingerjax.mesh import build_finger
+    from fingerjax.forward.model import solid_of
+    from fingerjax.mesh import Resolution, build_finger
 
     said = study.finger
-    if said.preset is not None:
-        solid = preset(said.preset)
-    else:
-        assert study.sections is not None and said.nail is not None
-        solid = solid_from_sections(Sections.from_csv(study.sections), Patch(said.nail.z, said.nail.theta))
-    return build_finger(solid, Resolution(pad=said.resolution.pad_mm, proximal=said.resolution.proximal_mm))
+    return build_finger(solid_of(study), Resolution(pad=said.resolution.pad_mm, proximal=said.resolution.proximal_mm))
 
 
 def write_mesh(path: Path, finger: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
-from ..contact.indenter import AbstractIndenter, from_spec
+from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, from_spec
 from ..contact.pad import Indentation, Interface, Pad, functionals, interface, pad_for, surface_functionals, windows
 from ..errors import InputError
 from ..fem.body import Body
@@ -134,32 +134,39 @@ def _receptor(measurement: Measurement) -> Receptor:
     return measurement.receptor
 
 
-def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[Focus, ...]:
-    """Where the mesh must be finer than the pad's own spacing: under probes and edges smaller than it."""
-    found: dict[Focus, None] = {}
-    for plan in planned:
-        feature = plan.indenter.feature
-        wedge = type(plan.indenter).__name__ == "Line"
-        if not wedge and type(plan.indenter).__name__ not in ("Point", "FlatCylinder"):
-            continue
-        size = LINE_SPACING if wedge else float(feature or 0.0) * PROBE_SPACING
-        if size < pad_spacing:
-            for x, z in plan.origins:
-                focus = _focus(plan.indenter, solid, x, z, size)
-                found[focus] = None
-    return tuple(found)
-
-
 LINE_SPACING = 0.2  # mm: a wedge is a singular line, its profile beside the load wants a few nodes to the millimetre
 PROBE_SPACING = 0.25  # of the probe's radius
 
 
-def _focus(indenter: AbstractIndenter, solid: LayeredSolid, x: float, z: float, size: float) -> Focus:
-    theta = float(np.arctan2(solid.pad_y(np.array([z]))[0] - solid.centre(np.array([z]))[0, 1], x - solid.centre(np.array([z]))[0, 0]))
-    along = getattr(indenter, "along", "x")
-    if type(indenter).__name__ == "Line":
-        return Focus(kind="line", z=float(z), theta=theta, size=size, extent=0.0, along=along)
-    return Focus(kind="point", z=float(z), theta=theta, size=size, extent=float(getattr(indenter, "radius", 0.0)), along=along)
+def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[Focus, ...]:
+    """Where the mesh must be finer than the pad's own spacing: under wedges, and under probes smaller than it."""
+    found: dict[Focus, None] = {}
+    for plan in planned:
+        for x, z in plan.origins:
+            if isinstance(plan.indenter, Line):
+                found[_line_focus(plan.indenter, solid, x, z, plan.deepest)] = None
+            elif isinstance(plan.indenter, (Point, FlatCylinder)):
+                radius = float(plan.indenter.radius)
+                found[Focus("point", z, _theta(solid, x, z), PROBE_SPACING * radius, radius)] = None
+    return tuple(focus for focus in found if focus.size < pad_spacing)
+
+
+def _theta(solid: LayeredSolid, x: float, z: float) -> float:
+    """Angle of the pad's skin at (x, z) about the section's centre."""
+    at = np.linspace(np.pi, 2 * np.pi, 721)
+    return float(at[np.argmin(np.abs(solid.surface(np.full(721, z), at)[:, 0] - x))])
+
+
+def _line_focus(line: Line, solid: LayeredSolid, x: float, z: float, travel: float) -> Focus:
+    """A strip as long as the skin that lies within `travel` of the wedge's first contact."""
+    if line.along == "z":
+        s = np.linspace(0.0, solid.length, 801)[1:-1]
+        height, s = solid.pad_y(s), s - z
+    else:
+        points = solid.surface(np.full(721, z), np.linspace(np.pi, 2 * np.pi, 721))
+        height, s = points[:, 1], points[:, 0] - x
+    reached = np.abs(s[height < height.min() + travel])
+    return Focus("line", z, _theta(solid, x, z), LINE_SPACING, float(reached.max()), line.along)
 
 
 @dataclasses.dataclass(frozen=True)
