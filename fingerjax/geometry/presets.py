@@ -1,18 +1,21 @@
 """Two fingertips that need no files: `monkey` and `human`, analytic sections from a few stated dimensions.
 
-Every number is a measured or published dimension or an assumption said to be one; none was chosen to make a force come out.
+Every number is a measured or published dimension or an assumption said to be one; none was chosen to make a
+force come out.
 
-- Human width 18 mm, monkey 9 mm: the middle of the ranges in Dandekar, Raju & Srinivasan (2003), 16-20 and 8-10 mm.
-- Epidermis 0.5 mm and dermis 1.0 mm at the centre of the human pad (same paper, section 3). The monkey's skin is the
-  human's scaled by the height of the finger.
-- Bone: a human index distal phalanx, 15.6 mm long, 7.6 mm wide and 4.5 mm thick at its base, 3.9 by 3.2 mm at its shaft,
-  5.1 by 2.8 mm at its tuft; scaled to the monkey by width and height. Proximal to its base the bone goes on unchanged.
-- As in the paper the inner layers are the section's profile scaled about the bone's centre, which lies towards the nail.
-  They are shortened towards the tip too, by their own thickness, for a layer scaled within its sections only would shrink
-  to nothing there.
-- Assumed: sections are ellipses 12 % wider towards the pad and narrower towards the nail, height 0.86 of the width, length
-  25 and 16.5 mm, bone centre 0.18 of the height above the middle, fibrous matrix out to 0.6 of the section's radius,
-  bone to 0.82 of the length, nail over 0.42-0.88 of the length and 50-130 deg.
+- Human width 18 mm, monkey 9 mm: the middle of the ranges in Dandekar, Raju & Srinivasan (2003), 16-20 and
+  8-10 mm.
+- Epidermis 0.5 mm and dermis 1.0 mm at the centre of the human pad (same paper, section 3). The monkey's skin
+  is the human's scaled by the height of the finger.
+- Bone: a human index distal phalanx, 15.6 mm long, 7.6 mm wide and 4.5 mm thick at its base, 3.9 by 3.2 mm at
+  its shaft, 5.1 by 2.8 mm at its tuft; scaled to the monkey by width and height. Proximal to its base the
+  bone goes on unchanged.
+- As in the paper the inner layers are the section's profile scaled about the bone's centre, which lies
+  towards the nail. They are shortened towards the tip too, by their own thickness, for a layer scaled within
+  its sections only would shrink to nothing there.
+- Assumed: sections are ellipses 12 % wider towards the pad and narrower towards the nail, height 0.86 of the
+  width, length 25 and 16.5 mm, bone centre 0.18 of the height above the middle, fibrous matrix out to 0.6 of
+  the section's radius, bone to 0.82 of the length, nail over 0.42-0.88 of the length and 50-130 deg.
 """
 
 from __future__ import annotations
@@ -49,7 +52,10 @@ class Dimensions:
     cap_at: float = 0.60  # where the tip begins to round off, share of the length
     cap_power: float = 2.5  # above 2, so that the curvature has no jump where the tip begins
     fullness: float = 0.12  # how much wider the pad's side of a section is than the nail's
-    slimming: tuple[float, float] = (0.10, 0.20)  # width and half-height lost from the fullest section to the proximal cut
+    slimming: tuple[float, float] = (
+        0.10,
+        0.20,
+    )  # width and half-height lost from the fullest section to the proximal cut
     nail: tuple[float, float] = (0.42, 0.88)  # share of the length
     nail_angles: tuple[float, float] = (50.0, 130.0)  # deg
 
@@ -90,13 +96,17 @@ PRESETS = {"monkey": MONKEY, "human": HUMAN}
 def preset(name: str) -> LayeredSolid:
     """The layered solid of a preset. Raises `InputError` when there is none of that name."""
     if name not in PRESETS:
-        raise InputError("no such preset finger", place="finger, preset", seen=name, remedy="write monkey or human")
+        raise InputError(
+            "no such preset finger", place="finger, preset", seen=name, remedy="write monkey or human"
+        )
     return solid_from_dimensions(PRESETS[name])
 
 
 def solid_from_dimensions(d: Dimensions) -> LayeredSolid:
     """Sections every 0.02 of the length (finer where layers end), then the smooth solid through them."""
-    share = np.concatenate([np.linspace(0.0, d.cap_at, 31)[:-1], 1.0 - (1.0 - d.cap_at) * np.linspace(1, 0, 49) ** 2])
+    share = np.concatenate(
+        [np.linspace(0.0, d.cap_at, 31)[:-1], 1.0 - (1.0 - d.cap_at) * np.linspace(1, 0, 49) ** 2]
+    )
     z = d.length * share
     theta = np.radians(np.arange(0.0, 360.0, 4.0))
     profile = _profile(d, z, theta)
@@ -105,8 +115,12 @@ def solid_from_dimensions(d: Dimensions) -> LayeredSolid:
     radii = np.zeros((len(z), len(theta), len(LAYERS)))
     for layer, share_of_radius in enumerate(_shares(d)):
         radii[:, :, layer] = _rounding(d, z, ends[layer])[:, None] * share_of_radius * profile
-    radii[:, :, BONE] = np.minimum(_rounding(d, z, ends[BONE], blunt=True)[:, None] * bone, radii[:, :, BONE - 1])
-    sections = Sections(z=z, theta=theta, centre=np.tile([0.0, d.bone_rise * d.height], (len(z), 1)), radii=radii)
+    radii[:, :, BONE] = np.minimum(
+        _rounding(d, z, ends[BONE], blunt=True)[:, None] * bone, radii[:, :, BONE - 1]
+    )
+    sections = Sections(
+        z=z, theta=theta, centre=np.tile([0.0, d.bone_rise * d.height], (len(z), 1)), radii=radii
+    )
     low, high = (math.radians(angle) for angle in d.nail_angles)
     nail = Patch(z=(d.nail[0] * d.length, d.nail[1] * d.length), theta=(low, high))
     return solid_from_sections(sections, nail, d.name)
@@ -119,7 +133,7 @@ def _shares(d: Dimensions) -> tuple[float, float, float, float]:
 
 
 def _ends(d: Dimensions) -> tuple[float, ...]:
-    """z at which each layer ends: skin layers keep their thickness, fibrous matrix half-way from dermis to bone."""
+    """z where each layer ends: skin keeps its thickness, fibrous matrix half-way from dermis to bone."""
     dermis, adipose = d.length - d.epidermis, d.length - d.epidermis - d.dermis
     bone = d.bone_end * d.length
     return d.length, dermis, adipose, 0.5 * (adipose + bone), bone
@@ -157,7 +171,7 @@ def _bone(d: Dimensions, z: np.ndarray, theta: np.ndarray) -> np.ndarray:
 
 
 def _rounding(d: Dimensions, z: np.ndarray, end: float, blunt: bool = False) -> np.ndarray:
-    """Factor on the radius towards a layer's end: sqrt(1 - u^p), u from 0 where the rounding begins to 1 at the end."""
+    """Factor on the radius towards a layer's end: sqrt(1 - u^p), u from 0 where rounding begins to 1."""
     start = end - 0.5 * d.bone_width[2] if blunt else d.cap_at * d.length
     u = np.clip((z - start) / (end - start), 0.0, 1.0)
     return np.sqrt(1.0 - u**d.cap_power)

@@ -1,9 +1,10 @@
 """Cross-sections of a fingertip, and the smooth layered solid through them.
 
-A finger is handed in as axial sections, each a table of five nested radii about the centre of the bone. Between the sections
-the squared radius is interpolated (a rounded tip has r^2 that falls linearly, where r itself has an infinite slope), between
-the angles a periodic cubic spline. Dandekar, Raju & Srinivasan (2003), sections 2 and 3: axial cross-sections 0.5-2.0 mm
-apart, joined to a closed solid with continuous slopes; polar coordinates about the bone's centre.
+A finger is handed in as axial sections, each a table of five nested radii about the centre of the bone.
+Between the sections the squared radius is interpolated (a rounded tip has r^2 that falls linearly, where r
+itself has an infinite slope), between the angles a periodic cubic spline. Dandekar, Raju & Srinivasan (2003),
+sections 2 and 3: axial cross-sections 0.5-2.0 mm apart, joined to a closed solid with continuous slopes;
+polar coordinates about the bone's centre.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from fingerjax.layers import BONE, LAYERS
 LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}
 ANGLES = {"deg": math.pi / 180.0, "rad": 1.0}
 QUANTITIES = ("z", "theta", "cx", "cy", *(f"r_{layer}" for layer in LAYERS))
-ROUNDING = 1e-4  # mm: tables are written with four decimals, so nested radii may cross by one in the last place
+ROUNDING = (
+    1e-4  # mm: tables are written with four decimals, so nested radii may cross by one in the last place
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +59,11 @@ class Sections:
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike[str]) -> Sections:
-        """Read `sections.csv`: columns z, theta, cx, cy, r_epidermis, ..., r_bone, each with its unit in its name.
+        """Read `sections.csv`: columns z, theta, cx, cy, r_epidermis, ..., r_bone, each with its unit in its
+        name.
 
-        One row per section and angle, lines that begin with `#` are comments. Raises `InputError` with file, row, column,
-        value and remedy.
+        One row per section and angle, lines that begin with `#` are comments. Raises `InputError` with file,
+        row, column, value and remedy.
         """
         header, rows, lines = _read_table(Path(path))
         columns = _columns(header, str(path))
@@ -80,7 +84,9 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]], list[int]]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read ({error})", file=path, remedy="name a readable UTF-8 CSV file") from None
+        raise InputError(
+            f"cannot be read ({error})", file=path, remedy="name a readable UTF-8 CSV file"
+        ) from None
     kept = [
         (number, row)
         for number, row in enumerate(csv.reader(text.splitlines()), start=1)
@@ -88,7 +94,11 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]], list[int]]:
     ]
     if len(kept) < 2:
         raise InputError("has no rows", file=path, remedy="write a header and one row per section and angle")
-    return [cell.strip() for cell in kept[0][1]], [row for _, row in kept[1:]], [number for number, _ in kept[1:]]
+    return (
+        [cell.strip() for cell in kept[0][1]],
+        [row for _, row in kept[1:]],
+        [number for number, _ in kept[1:]],
+    )
 
 
 def _columns(header: list[str], file: str) -> dict[str, tuple[int, float]]:
@@ -99,13 +109,18 @@ def _columns(header: list[str], file: str) -> dict[str, tuple[int, float]]:
         units = ANGLES if stem == "theta" else LENGTHS
         if stem in QUANTITIES and unit in units:
             if stem in found:
-                raise InputError("column given twice", file=file, place=f"column {name}", remedy="keep one of them")
+                raise InputError(
+                    "column given twice", file=file, place=f"column {name}", remedy="keep one of them"
+                )
             found[stem] = (index, units[unit])
     for stem in QUANTITIES:
         if stem not in found:
             wanted = f"{stem}_{'deg' if stem == 'theta' else 'mm'}"
             raise InputError(
-                "column missing, or without its unit", file=file, place="header", seen=",".join(header),
+                "column missing, or without its unit",
+                file=file,
+                place="header",
+                seen=",".join(header),
                 remedy=f"add a column {wanted}",
             )
     return found
@@ -129,7 +144,9 @@ def _number(cell: str, file: str, place: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError("not a number", file=file, place=place, seen=cell, remedy="write a finite decimal number")
+        raise InputError(
+            "not a number", file=file, place=place, seen=cell, remedy="write a finite decimal number"
+        )
     return value
 
 
@@ -155,13 +172,17 @@ def _check_rows(
     place = f"rows {lines[rows.start]}-{lines[rows.stop - 1]} (z = {z:g} mm)"
     if len(angles) != len(theta):
         raise InputError(
-            "section does not close: it has not the angles of the first section", file=file, place=place,
-            seen=f"{len(angles)} angles, not {len(theta)}", remedy="give every section the same angles, once round",
+            "section does not close: it has not the angles of the first section",
+            file=file,
+            place=place,
+            seen=f"{len(angles)} angles, not {len(theta)}",
+            remedy="give every section the same angles, once round",
         )
     wrong = np.flatnonzero(np.abs(angles - theta) > 1e-9)
     if len(wrong):
         raise InputError(
-            "angle differs from the first section's", file=file,
+            "angle differs from the first section's",
+            file=file,
             place=f"row {lines[rows.start + int(wrong[0])]}, column theta",
             seen=f"{math.degrees(angles[wrong[0]]):g} deg, not {math.degrees(theta[wrong[0]]):g} deg",
             remedy="give every section the same angles in the same order",
@@ -170,9 +191,11 @@ def _check_rows(
         moved = np.flatnonzero(np.abs(table[stem][rows] - table[stem][rows.start]) > ROUNDING)
         if len(moved):
             raise InputError(
-                "a section has two centres", file=file,
+                "a section has two centres",
+                file=file,
                 place=f"row {lines[rows.start + int(moved[0])]}, column {stem}",
-                seen=float(table[stem][rows][moved[0]]), remedy="write one centre for all rows of a section",
+                seen=float(table[stem][rows][moved[0]]),
+                remedy="write one centre for all rows of a section",
             )
 
 
@@ -180,20 +203,30 @@ def _check_sections(s: Sections) -> None:
     shape = (len(s.z), len(s.theta), len(LAYERS))
     if s.radii.shape != shape or s.centre.shape != (len(s.z), 2):
         raise InputError(
-            "arrays do not fit together", file=s.file, seen=f"radii {s.radii.shape}, centre {s.centre.shape}",
+            "arrays do not fit together",
+            file=s.file,
+            seen=f"radii {s.radii.shape}, centre {s.centre.shape}",
             remedy=f"radii need the shape {shape}, centre {(len(s.z), 2)}",
         )
     if len(s.z) < 4:
-        raise InputError("too few sections for a smooth solid", file=s.file, seen=len(s.z), remedy="give four or more")
+        raise InputError(
+            "too few sections for a smooth solid", file=s.file, seen=len(s.z), remedy="give four or more"
+        )
     back = np.flatnonzero(np.diff(s.z) <= 0)
     if len(back):
         raise InputError(
-            "z does not increase from section to section", file=s.file, place=f"section {back[0] + 2}, column z",
-            seen=float(s.z[back[0] + 1]), remedy="order the sections from the proximal cut to the tip, each once",
+            "z does not increase from section to section",
+            file=s.file,
+            place=f"section {back[0] + 2}, column z",
+            seen=float(s.z[back[0] + 1]),
+            remedy="order the sections from the proximal cut to the tip, each once",
         )
     if abs(s.z[0]) > ROUNDING:
         raise InputError(
-            "the first section is not the proximal cut", file=s.file, place="section 1, column z", seen=float(s.z[0]),
+            "the first section is not the proximal cut",
+            file=s.file,
+            place="section 1, column z",
+            seen=float(s.z[0]),
             remedy="count z from the proximal cut, so that the first section has z = 0",
         )
 
@@ -204,13 +237,18 @@ def _check_angles(s: Sections) -> None:
     if (gaps[:-1] <= 0).any() or gaps[-1] <= 1e-6:
         at = int(np.flatnonzero(gaps <= 1e-6)[0])
         raise InputError(
-            "angles do not increase once round", file=s.file, place=f"angle {at + 1}, column theta",
-            seen=f"{degrees[at]:g} deg", remedy="list each angle once, from 0 to below 360 deg",
+            "angles do not increase once round",
+            file=s.file,
+            place=f"angle {at + 1}, column theta",
+            seen=f"{degrees[at]:g} deg",
+            remedy="list each angle once, from 0 to below 360 deg",
         )
     widest = int(np.argmax(gaps))
     if gaps[widest] > 45.0 or gaps[widest] > 3.0 * np.median(gaps):
         raise InputError(
-            "sections do not close: angles are missing", file=s.file, place="column theta",
+            "sections do not close: angles are missing",
+            file=s.file,
+            place="column theta",
             seen=f"a gap of {gaps[widest]:g} deg after {degrees[widest]:g} deg",
             remedy="give angles all the way round, at most 45 deg apart and without holes",
         )
@@ -222,15 +260,20 @@ def _check_radii(s: Sections) -> None:
     if (s.radii < 0).any():
         i, j, k = (int(v) for v in np.argwhere(s.radii < 0)[0])
         raise InputError(
-            "negative radius", file=s.file, place=_place(s, i, j, k), seen=float(s.radii[i, j, k]),
+            "negative radius",
+            file=s.file,
+            place=_place(s, i, j, k),
+            seen=float(s.radii[i, j, k]),
             remedy="write 0 beyond the end of a layer",
         )
     crossed = np.argwhere(np.diff(s.radii, axis=-1) > 2 * ROUNDING)
     if len(crossed):
         i, j, k = (int(v) for v in crossed[0])
         raise InputError(
-            f"radii increase inwards: {LAYERS[k + 1]} lies outside {LAYERS[k]}", file=s.file,
-            place=_place(s, i, j, k + 1), seen=float(s.radii[i, j, k + 1]),
+            f"radii increase inwards: {LAYERS[k + 1]} lies outside {LAYERS[k]}",
+            file=s.file,
+            place=_place(s, i, j, k + 1),
+            seen=float(s.radii[i, j, k + 1]),
             remedy=f"at most {s.radii[i, j, k]:g} mm, the radius of {LAYERS[k]} there",
         )
 
@@ -240,14 +283,19 @@ def _check_ends(s: Sections) -> None:
     if len(hollow):
         i, j = (int(v) for v in hollow[0])
         raise InputError(
-            "the skin has no radius before the tip", file=s.file, place=_place(s, i, j, 0), seen=0.0,
+            "the skin has no radius before the tip",
+            file=s.file,
+            place=_place(s, i, j, 0),
+            seen=0.0,
             remedy="only the last section may shrink to a point",
         )
     for k in range(1, len(LAYERS)):
         if (s.radii[-1, :, k] > 0).any():
             raise InputError(
-                f"the solid does not close: {LAYERS[k]} is cut open at the tip", file=s.file,
-                place=f"last section (z = {s.z[-1]:g} mm), column r_{LAYERS[k]}", seen=float(s.radii[-1, :, k].max()),
+                f"the solid does not close: {LAYERS[k]} is cut open at the tip",
+                file=s.file,
+                place=f"last section (z = {s.z[-1]:g} mm), column r_{LAYERS[k]}",
+                seen=float(s.radii[-1, :, k].max()),
                 remedy="go on to the tip, where every inner layer has ended (radius 0)",
             )
 
@@ -258,7 +306,7 @@ def _place(s: Sections, i: int, j: int, k: int) -> str:
 
 @dataclass(frozen=True)
 class Patch:
-    """A rectangle of the outer surface: ranges of z (mm) and of theta (rad, counted from +x towards the nail at +y)."""
+    """A rectangle of the outer surface: ranges of z (mm) and of theta (rad, from +x towards +y)."""
 
     z: tuple[float, float]
     theta: tuple[float, float]
@@ -267,7 +315,9 @@ class Patch:
         for name, (low, high) in (("z", self.z), ("theta", self.theta)):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise InputError(
-                    "a range needs two increasing numbers", place=f"nail, {name}", seen=(low, high),
+                    "a range needs two increasing numbers",
+                    place=f"nail, {name}",
+                    seen=(low, high),
                     remedy="write [low, high]",
                 )
 
@@ -280,7 +330,7 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class LayeredSolid:
-    """Five nested surfaces of one fingertip, smooth in z and theta. Layers are numbered 0 (epidermis) to 4 (bone)."""
+    """Five nested surfaces of one fingertip, smooth in z and theta; 0 is epidermis, 4 is bone."""
 
     sections: Sections
     nail: Patch
@@ -299,7 +349,7 @@ class LayeredSolid:
 
     @cached_property
     def _squares(self) -> np.ndarray:
-        """Coefficients of r^2, `(5, s - 1, m, 4, 4)`: powers of z - z_i and of theta - theta_j, highest first."""
+        """Coefficients of r^2, `(5, s - 1, m, 4, 4)`: powers of z - z_i, of theta - theta_j."""
         theta = self.sections.theta
         closed = np.r_[theta, theta[0] + 2 * np.pi]
         out = []
@@ -332,23 +382,25 @@ class LayeredSolid:
         return ((in_theta[..., 0] * b + in_theta[..., 1]) * b + in_theta[..., 2]) * b + in_theta[..., 3]
 
     def radius(self, layer: int, z: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Radius of a layer's outer surface, `(k,)` mm; 0 beyond its end, never more than the layer outside it."""
+        """Radius of a layer's outer surface, `(k,)` mm; 0 beyond its end, at most the layer's outside it."""
         z, theta = np.broadcast_arrays(np.asarray(z, float), np.asarray(theta, float))
         squares = np.stack([self.square(k, z, theta) for k in range(layer + 1)])
         return np.sqrt(np.maximum(squares.min(axis=0), 0.0))
 
     def level(self, layer: int, points: np.ndarray) -> np.ndarray:
-        """Negative inside a layer's outer surface: (rho^2 - r^2) / (2 r_max), `(k,)` mm, about a distance on the pad.
+        """Negative inside a layer's outer surface: (rho^2 - r^2) / (2 r_max), `(k,)` mm, about a distance on
+        the pad.
 
         `points` is `(k, 3)` mm. The skin is closed at the tip by z = length as well.
         """
         x, y = (points[..., :2] - self.centre(points[..., 2])).T
         square = self.square(layer, points[..., 2], np.arctan2(y, x))
-        value = (x * x + y * y - square) / (2.0 * self._largest)
+        value = (x * x + y * y - square) / (2.0 * self.largest_radius)
         return np.maximum(value, points[..., 2] - self.length) if layer == 0 else value
 
     @cached_property
-    def _largest(self) -> float:
+    def largest_radius(self) -> float:
+        """Largest outer radius of any section, mm."""
         return float(self.sections.radii[:, :, 0].max())
 
     def layer_of(self, points: np.ndarray) -> np.ndarray:
@@ -376,13 +428,13 @@ class LayeredSolid:
         z = np.linspace(0.0, self.length, 2001)
         return float(z[np.argmin(self.pad_y(z))])
 
-    def area(self, layer: int, z: np.ndarray, angles: int = 720) -> np.ndarray:
+    def area(self, layer: int, z: np.ndarray, angles: int = 180) -> np.ndarray:
         """Area within a layer's outer surface in the sections at z, `(k,)` mm^2."""
         theta = 2 * np.pi * np.arange(angles) / angles
         squares = self.radius(layer, np.asarray(z, float)[:, None], theta[None, :]) ** 2
         return np.pi * squares.mean(axis=1)
 
-    def volume(self, layer: int, slices: int = 2000) -> float:
+    def volume(self, layer: int, slices: int = 1000) -> float:
         """Volume of one layer, mm^3, by the midpoint rule over fine slices."""
         z = (np.arange(slices) + 0.5) * self.length / slices
         inner = self.area(layer + 1, z) if layer < BONE else 0.0
@@ -392,8 +444,8 @@ class LayeredSolid:
 def _continued(z: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """r^2 `(s, m)` with the zeros beyond a layer's end replaced by a straight fall below zero.
 
-    A rounded end has r^2 falling linearly; going on keeps the level set smooth across the end. The fall is at least
-    steep enough to end the layer before the first section that says it has ended.
+    A rounded end has r^2 falling linearly; going on keeps the level set smooth across the end. The fall is at
+    least steep enough to end the layer before the first section that says it has ended.
     """
     out = squares.copy()
     positive = squares > 0
@@ -411,7 +463,9 @@ def solid_from_sections(sections: Sections, nail: Patch, name: str = "finger") -
     """The smooth solid through sections, with the patch of its surface that is nail."""
     if nail.z[0] < 0 or nail.z[1] > sections.z[-1]:
         raise InputError(
-            "the nail leaves the finger", place="nail, z", seen=nail.z,
+            "the nail leaves the finger",
+            place="nail, z",
+            seen=nail.z,
             remedy=f"stay between 0 and {sections.z[-1]:g} mm",
         )
     return LayeredSolid(sections=sections, nail=nail, name=name)
