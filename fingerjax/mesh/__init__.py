@@ -14,11 +14,12 @@ from fingerjax.finger import Finger
 from fingerjax.geometry.sections import LayeredSolid
 from fingerjax.layers import BONE
 from fingerjax.mesh.cache import Arrays, cache_dir, content_key, kept
-from fingerjax.mesh.columns import Columns, columns
+from fingerjax.mesh.columns import Columns, Rays, columns
 from fingerjax.mesh.files import arrays_of, checksum, finger_of
 from fingerjax.mesh.jacobian import relaxed
 from fingerjax.mesh.quality import figures
 from fingerjax.mesh.refine import Focus, refine
+from fingerjax.mesh.smooth import smoothed
 from fingerjax.mesh.surface import Resolution, skin_triangles
 from fingerjax.mesh.topology import edges, quadratic, quadratic_triangles
 
@@ -47,7 +48,7 @@ def _built(
     started = time.perf_counter()
 
     def skin() -> Arrays:
-        points, triangles = skin_triangles(solid, resolution)
+        points, triangles = smoothed(Rays(solid), *skin_triangles(solid, resolution))
         return {"points": points, "triangles": triangles}
 
     stored = kept(f"{base}-skin", skin)
