@@ -1,4 +1,4 @@
-"""The meshed fingertip that the shape floor hands upwards: nodes, quadratic tetrahedra, and what each of them is."""
+"""The meshed fingertip that the shape floor hands upwards: nodes, tetrahedra, and what each of them is."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ class Finger:
     **Arguments:**
 
     - `name`: what the body is called in tables.
-    - `nodes`: `(n, 3)` float64, mm. Vertices and midsides; midsides of curved surfaces lie on the true surface.
+    - `nodes`: `(n, 3)` float64, mm. Vertices and midsides; midsides of curved surfaces lie on the true
+        surface.
     - `tets`: `(e, 10)` int64, four vertices and then the midsides of 01, 12, 02, 03, 13, 23 (VTK's order),
         positively oriented.
     - `layer`: `(e,)` int64, index into `fingerjax.layers.LAYERS`.
-    - `skin`: `(f, 6)` int64, outer quadratic triangles, three vertices and the midsides of 01, 12, 20, normals
-        outwards. The proximal cut is not skin.
+    - `skin`: `(f, 6)` int64, outer quadratic triangles, three vertices and the midsides of 01, 12, 20,
+        normals outwards. The proximal cut is not skin.
     - `nail`: `(n,)` bool, nodes of the nail patch.
     - `bone`: `(n,)` bool, nodes on or inside the bone's surface (the fixed face of a test body).
     - `proximal`: `(n,)` bool, nodes on z = 0.
@@ -69,7 +70,8 @@ class Finger:
     def without_bone(self) -> Finger:
         """The soft tissue alone: bone elements, and nodes that nothing else uses, are dropped.
 
-        Nodes of the bone's surface stay and are still marked in `bone`: they are where a rigid bone holds the tissue.
+        Nodes of the bone's surface stay and are still marked in `bone`: they are where a rigid bone holds the
+        tissue.
         """
         soft = self.layer != BONE
         if soft.all():

@@ -10,29 +10,13 @@ import hashlib
 import numpy as np
 
 from fingerjax.finger import Finger
-from fingerjax.mesh.topology import boundary, oriented, prism_tets, quadratic, quadratic_triangles
-
-_KUHN = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
+from fingerjax.mesh.topology import boundary, kuhn_tets, oriented, prism_tets, quadratic, quadratic_triangles
 
 
 def _spread(count: int, grading: float) -> np.ndarray:
     """`count + 1` numbers from -1 to 1, crowded about 0 when `grading` exceeds 1."""
     u = np.linspace(-1.0, 1.0, count + 1)
     return np.sign(u) * np.abs(u) ** grading
-
-
-def _kuhn_tets(divisions: tuple[int, int, int]) -> np.ndarray:
-    """Six tetrahedra to each cell of a grid, all about the cell's main diagonal, so that neighbours conform."""
-    i, j, k = (np.arange(n) for n in divisions)
-    cell = np.stack(np.meshgrid(i, j, k, indexing="ij"), axis=-1).reshape(-1, 3)
-    stride = np.array([(divisions[1] + 1) * (divisions[2] + 1), divisions[2] + 1, 1])
-    tets = []
-    for path in _KUHN:
-        steps = np.zeros((4, 3), int)
-        for position, axis in enumerate(path):
-            steps[position + 1 :, axis] += 1
-        tets.append((cell[:, None] + steps) @ stride)
-    return np.stack(tets, axis=1).reshape(-1, 4)
 
 
 def _finish(
@@ -68,7 +52,7 @@ def block(
     y = b * np.linspace(0.0, 1.0, divisions[1] + 1) ** power
     z = 0.5 * c * (1.0 + _spread(divisions[2], power))
     vertices = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
-    tets = oriented(vertices, _kuhn_tets(divisions))
+    tets = oriented(vertices, kuhn_tets(divisions))
     nodes, elements, pairs, key = _finish(f"block{size}{divisions}{grading}{interfaces}", vertices, tets)
     surface = boundary(tets)
     surface = surface[(vertices[surface][:, :, 1] < 1e-9 * b).all(axis=1)]

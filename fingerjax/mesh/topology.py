@@ -1,4 +1,4 @@
-"""Who touches whom in a tetrahedral mesh: edges, faces, boundary, and the step from 4-node to 10-node elements."""
+"""Who touches whom in a tetrahedral mesh: edges, faces, boundary, the step from 4 nodes to 10."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 # Midsides in the order of VTK_QUADRATIC_TETRA, and outward faces of a positively oriented tetrahedron.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+KUHN = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 TRIANGLE_EDGES = np.array([[0, 1], [1, 2], [2, 0]])
 
 
@@ -30,7 +31,8 @@ def quadratic(
     """Ten-node elements from four-node ones.
 
     `midpoints`, `(m, 3)`, are the positions of the midsides in the order of `edges`; straight when not given.
-    Returns all nodes `(n, 3)`, elements `(e, 10)`, and the edges `(m, 2)` whose midside is node `len(vertices) + i`.
+    Returns all nodes `(n, 3)`, elements `(e, 10)`, and the edges `(m, 2)` whose midside is node
+    `len(vertices) + i`.
     """
     pairs, of = edges(tets, len(vertices))
     if midpoints is None:
@@ -74,17 +76,32 @@ def oriented(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return out
 
 
-def prism_tets(bottom: np.ndarray, top: np.ndarray) -> np.ndarray:
-    """Three tetrahedra for each prism, diagonals chosen by vertex number so that neighbours agree.
+def prism_tets(bottom: np.ndarray, top: np.ndarray, rank: np.ndarray | None = None) -> np.ndarray:
+    """Three tetrahedra for each prism, diagonals chosen by rank so that neighbours agree (Dompierre et al.
+    1999).
 
-    `bottom` and `top` are `(k, 3)` vertex numbers, corner i of one above corner i of the other. The diagonal of each
-    side starts at the column whose smaller number of (bottom, top) is the smaller: numbers must order columns
-    the same in every prism (Dompierre et al. 1999). Returns `(3k, 4)`, orientation not settled.
+    `bottom` and `top` are `(k, 3)` vertex numbers, corner i of one below corner i of the other. The diagonal
+    of each side rises from the bottom vertex of lower `rank`, `(k, 3)`, the vertex number itself when not
+    given; it must order columns alike in every prism. Returns `(3k, 4)`, orientation not settled.
     """
-    order = np.argsort(np.minimum(bottom, top), axis=1, kind="stable")
+    order = np.argsort(bottom if rank is None else rank, axis=1, kind="stable")
     b = np.take_along_axis(bottom, order, axis=1)
     t = np.take_along_axis(top, order, axis=1)
     first = np.stack([b[:, 0], b[:, 1], b[:, 2], t[:, 2]], axis=1)
     second = np.stack([b[:, 0], b[:, 1], t[:, 1], t[:, 2]], axis=1)
     third = np.stack([b[:, 0], t[:, 0], t[:, 1], t[:, 2]], axis=1)
     return np.stack([first, second, third], axis=1).reshape(-1, 4)
+
+
+def kuhn_tets(divisions: tuple[int, int, int]) -> np.ndarray:
+    """Six tetrahedra to each cell of a grid, all about the cell's main diagonal: neighbours conform."""
+    i, j, k = (np.arange(n) for n in divisions)
+    cell = np.stack(np.meshgrid(i, j, k, indexing="ij"), axis=-1).reshape(-1, 3)
+    stride = np.array([(divisions[1] + 1) * (divisions[2] + 1), divisions[2] + 1, 1])
+    tets = []
+    for path in KUHN:
+        steps = np.zeros((4, 3), int)
+        for position, axis in enumerate(path):
+            steps[position + 1 :, axis] += 1
+        tets.append((cell[:, None] + steps) @ stride)
+    return np.stack(tets, axis=1).reshape(-1, 4)
