@@ -1,8 +1,9 @@
-"""An elastic half-space y > 0 whose surface carries a regular lattice of quadratic triangles: its compliance without finite elements.
+"""An elastic half-space under a regular lattice of quadratic triangles: its compliance without a mesh.
 
-The half-space turns a pressure into the displacement with Fourier transform 2/(E* |k|) times it. So the stiffness between quadratic shape
-functions of a periodic lattice is S_ij = sum_k E* |k|/2 N_i(k) conj N_j(k), and the compliance its inverse, completed by what periodic
-images take away: the sum of 1/r over a square lattice less its mean, 3.900265/L - 2.2584 r^2/L^3 (Bonsall & Maradudin 1977 for the first).
+The half-space turns a pressure into the displacement with Fourier transform 2/(E* |k|) times it. So the
+stiffness between quadratic shape functions of a periodic lattice is S_ij = sum_k E* |k|/2 N_i(k) conj N_j(k),
+and the compliance its inverse, completed by what periodic images take away: the sum of 1/r over a square
+lattice less its mean, 3.900265/L - 2.2584 r^2/L^3 (Bonsall & Maradudin 1977 for the first).
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ class Skin:
 
 
 def lattice(elements: int, edge: float, lift=lambda x, z: 0.0 * x) -> Skin:
-    """A square of elements x elements cells, each cut in two triangles, normals to -y, centred on the origin."""
+    """A square of elements x elements cells, each cut in two triangles, normals to -y, centre (0, 0)."""
     side = 2 * elements + 1
     i, j = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
     x, z = ((i - elements) * edge / 2).ravel(), ((j - elements) * edge / 2).ravel()
     nodes = np.column_stack([x, lift(x, z), z])
-    at = lambda a, b: (a * side + b).ravel()
+
+    def at(a, b):
+        return (a * side + b).ravel()
+
     a, b = np.meshgrid(np.arange(0, side - 1, 2), np.arange(0, side - 1, 2), indexing="ij")
     one = [at(a, b), at(a + 2, b), at(a + 2, b + 2), at(a + 1, b), at(a + 2, b + 1), at(a + 1, b + 1)]
     two = [at(a, b), at(a + 2, b + 2), at(a, b + 2), at(a + 1, b + 1), at(a + 1, b + 2), at(a, b + 1)]
@@ -36,7 +40,7 @@ def lattice(elements: int, edge: float, lift=lambda x, z: 0.0 * x) -> Skin:
 def compliance(
     skin: Skin, nodes: np.ndarray, edge: float, modulus: float, periods: int = 24, fine: int = 8
 ) -> np.ndarray:
-    """Compliance (p, p) in mm/N of the half-space with plane-strain modulus E* = `modulus` between lattice `nodes`."""
+    """Compliance (p, p) in mm/N of the half-space with E/(1 - nu^2) = `modulus` in MPa between `nodes`."""
     kinds = [(0, 0), (1, 0), (0, 1), (1, 1)]  # positions of vertex and midsides in a cell, in half edges
     count, size = 2 * fine * periods, periods * edge
     hat = [np.fft.fft2(_shape(kind, count, fine)) / count**2 for kind in kinds]
@@ -69,7 +73,7 @@ def compliance(
 
 
 def _shape(kind: tuple[int, int], count: int, fine: int) -> np.ndarray:
-    """A quadratic shape function sampled `fine` times per half edge on the periodic square, its node at (kind) half edges."""
+    """A quadratic shape function, its node at `kind` half edges, sampled `fine` times per half edge."""
     s = (np.arange(count) / fine + count // (2 * fine)) % (count // fine) - count // (2 * fine)
     u, v = np.meshgrid(s / 2, s / 2, indexing="ij")  # in cells, from the cell's own corner
     value = np.zeros_like(u)
@@ -78,7 +82,8 @@ def _shape(kind: tuple[int, int], count: int, fine: int) -> np.ndarray:
             a, b = u - i, v - j  # inside cell (i, j)
             inside = (a >= 0) & (a < 1) & (b >= 0) & (b < 1)
             lower = inside & (a >= b)
-            # lower triangle (0,0) (1,0) (1,1), barycentric 1-a, a-b, b; upper (0,0) (1,1) (0,1), barycentric 1-b, a, b-a
+            # lower triangle (0,0) (1,0) (1,1), barycentric 1-a, a-b, b; upper (0,0) (1,1) (0,1), barycentric
+            # 1-b, a, b-a
             for where, bary in ((lower, (1 - a, a - b, b)), (inside & ~lower, (1 - b, a, b - a))):
                 corners = [(0, 0), (1, 0), (1, 1)] if where is lower else [(0, 0), (1, 1), (0, 1)]
                 value = np.where(where, _p2(kind, (2 * i, 2 * j), corners, bary), value)

@@ -30,7 +30,10 @@ def test_start_is_the_best_of_all(seed):
     random = np.random.default_rng(seed)
     q = random.uniform(0, 1, 15)
     observed, weight = np.maximum(30 * (q - 0.4), 0) + random.normal(0, 4, 15), random.uniform(0.5, 2, 15)
-    misfit = lambda p: np.sum(weight * (observed - np.asarray(rate(q, p[0], p[1]))) ** 2)
+
+    def misfit(p):
+        return np.sum(weight * (observed - np.asarray(rate(q, float(p[0]), float(p[1])))) ** 2)
+
     searched = brute(misfit, ((1, 120), (-1.0, 1.0)), Ns=60, full_output=True)[1]
     assert misfit(start(q, observed, weight)) <= searched * (1 + 1e-9)
 

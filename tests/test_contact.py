@@ -1,4 +1,4 @@
-"""Contact on an elastic half-space: Hertz, the flat punch, exact complementarity, and derivatives through it."""
+"""Contact on an elastic half-space: Hertz, flat punch, exact complementarity, derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +38,7 @@ def test_the_half_space_knows_a_uniform_disc():
 
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_hertz(offset):
-    """Sphere of R = 20 mm, contact radius 1 mm: F = 4/3 E* a^3 / R, p0 = 2 E* a / (pi R) (Johnson 1985, eqs. 4.22-4.24)."""
+    """R = 20 mm, a = 1 mm: F = 4/3 E* a^3 / R, p0 = 2 E* a / (pi R) (Johnson 1985, eqs. 4.22-4.24)."""
     contact = pressed(Sphere(20.0), offset, 1 / 20)
     assert float(contact.force) == pytest.approx(4 / 3 * MODULUS / 20, rel=0.01)
     assert float(contact.area) == pytest.approx(np.pi, rel=0.03)
@@ -90,7 +90,7 @@ def test_glued_skin_is_held_where_it_was_overlapped():
 
 @pytest.mark.parametrize("seed", range(12))
 def test_any_positive_definite_matrix_settles(seed):
-    """Even far from anything elastic, where exchanging all violated members at once can go round in circles."""
+    """Also far from anything elastic, where exchanging all violated members can go round in circles."""
     random = np.random.default_rng(seed)
     root = random.normal(size=(40, 40))
     matrix, overlap = jnp.asarray(root @ root.T + 1e-3 * np.eye(40)), jnp.asarray(random.normal(size=40))

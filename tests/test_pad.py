@@ -44,7 +44,9 @@ def test_the_covered_area_is_that_of_the_indenter(radius):
 
 
 def test_the_covered_area_follows_the_edge():
-    wide = lambda w: jnp.sum(faces(pad(FLAT), Bar(w), (0.0, 0.03)).covered)
+    def wide(w):
+        return jnp.sum(faces(pad(FLAT), Bar(w), (0.0, 0.03)).covered)
+
     assert float(jax.grad(wide)(1.37)) == pytest.approx(4.0, rel=0.15)
 
 

@@ -1,4 +1,4 @@
-"""Press a rigid indenter into a linear body: from condensed compliance and contact geometry to pressure, force and travel."""
+"""Press a rigid indenter into a linear body: condensed compliance and geometry in, pressure and force out."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ from jaxtyping import Array, Bool, Float, Int
 from fingerjax.contact.complementarity import complementary, held
 from fingerjax.contact.pad import Interface
 
-# Share of the force that would close a hat's gap, at which area is read off: with it Hertz's contact radius on 2 to 5 facet edges is
-# right to 1 % wherever the mesh lies (1 would put it an eighth of an edge too small).
+# Share of the force that would close a hat's gap, at which area is read off: with it Hertz's contact radius
+# on 2 to 5 facet edges is right to 1 % wherever the mesh lies (1 would put it an eighth of an edge too
+# small).
 CLOSING = 0.45
 
 
 class Contact(eqx.Module):
     """An indenter at rest on the skin.
 
-    `pressure` (k,) in MPa, one for each hat; `nodal_forces` (p,) in N along +y on the pad nodes; `force` in N; `travel` in mm from
-    first contact; `area` in mm^2, in the x-z plane, smooth in the travel; `peak_pressure` in MPa; `active` (k,) hats in contact; `gap` (k,) mean gap in
-    mm over each hat; `steps` solves; `settled`, whether contact was decided; `reached_edge`, whether a hat on the border of the pad
+    `pressure` (k,) in MPa, one for each hat; `nodal_forces` (p,) in N along +y on the pad nodes; `force` in
+    N; `travel` in mm from first contact; `area` in mm^2, in the x-z plane, smooth in the travel;
+    `peak_pressure` in MPa; `active` (k,) hats in contact; `gap` (k,) mean gap in mm over each hat; `steps`
+    solves; `settled`, whether contact was decided; `reached_edge`, whether a hat on the border of the pad
     bears pressure, so that a larger pad is needed.
     """
 
@@ -48,9 +50,10 @@ def press(
 ) -> Contact:
     """Press to a `travel` in mm from first contact, or with a `force` in N (exactly one of the two).
 
-    `compliance_pp` in mm/N takes forces along +y on the pad nodes to their displacements along +y. `start` is the active set of a
-    neighbouring contact. With `glued` the displacement is prescribed wherever the undeformed skin would be overlapped, as under a
-    line of prescribed displacement; travel must then be given.
+    `compliance_pp` in mm/N takes forces along +y on the pad nodes to their displacements along +y. `start` is
+    the active set of a neighbouring contact. With `glued` the displacement is prescribed wherever the
+    undeformed skin would be overlapped, as under a line of prescribed displacement; travel must then be
+    given.
 
     **Raises:** `ValueError` unless exactly one of travel and force is given.
     """
@@ -63,7 +66,7 @@ def press(
     compliance = load.T @ compliance_pp @ load
     compliance = 0.5 * (compliance + compliance.T)
     overlap = jnp.where(present, interface.overlap / area, -1e3)
-    if glued:
+    if glued and travel is not None:
         found = held(compliance, overlap, travel)
     else:
         travel, force = (None if value is None else jnp.asarray(value, float) for value in (travel, force))
@@ -90,9 +93,9 @@ def press(
 def _area(interface: Interface, pull: Float[Array, " k"]) -> Float[Array, ""]:
     """Area in mm^2 in contact: where the piecewise linear function through `pull` is positive.
 
-    `pull` is a hat's pressure where it touches and, where it does not, minus a share of the pressure that would close its gap: it grows with
-    travel through 0 as a hat comes into contact, so the area changes smoothly. NaN marks a hat that is off the indenter; the skin
-    beside it goes with its neighbours.
+    `pull` is a hat's pressure where it touches and, where it does not, minus a share of the pressure that
+    would close its gap: it grows with travel through 0 as a hat comes into contact, so the area changes
+    smoothly. NaN marks a hat that is off the indenter; the skin beside it goes with its neighbours.
     """
     at = pull[interface.pieces]
     at = jnp.where(jnp.isnan(at), jnp.max(jnp.where(jnp.isnan(at), -jnp.inf, at), axis=1, keepdims=True), at)

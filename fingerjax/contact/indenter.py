@@ -12,11 +12,13 @@ Which one?
 | `Sphere`, `Cylinder` | curved probes |
 | `Profile` | any measured height over position |
 
-The surface of an indenter whose own origin stands at (x0, z0) is `y = Y + h(x - x0, z - z0)` with `h <= 0` and 0 at its highest
-point towards +y, the direction in which it is pressed. Shapes that are swept along a line take `along`, the axis ("x", across the
-finger, or "z", along it) on which their height does NOT change. Lengths are in mm.
+The surface of an indenter whose own origin stands at (x0, z0) is `y = Y + h(x - x0, z - z0)` with `h <= 0`
+and 0 at its highest point towards +y, the direction in which it is pressed. Shapes that are swept along a
+line take `along`, the axis ("x", across the finger, or "z", along it) on which their height does NOT change.
+Lengths are in mm.
 
-Edges are circular fillets. Where a wall is steeper than 68 degrees it is a flank, which cannot press towards +y: `covers` is false.
+Edges are circular fillets. Where a wall is steeper than 68 degrees it is a flank, which cannot press towards
++y: `covers` is false.
 """
 
 from __future__ import annotations
@@ -24,17 +26,19 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from fingerjax.errors import InputError
 
 Axis = Literal["x", "z"]
+Place = Float[ArrayLike, "..."]  # a coordinate in mm, one or many
+Height = Float[Array, "..."]
 FLANK = math.radians(68.0)  # walls steeper than this are flanks
 NOTHING = -1e3  # mm: height where there is no material
 
@@ -43,29 +47,29 @@ class AbstractIndenter(eqx.Module):
     """A rigid shape given by its `surface` and its `margin`; the rest follows from the two."""
 
     @abstractmethod
-    def surface(self, x: Float[Array, "..."], z: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Height in mm, at most 0, carried on past the edge at the edge's own height (quadrature needs it there)."""
+    def surface(self, x: Place, z: Place) -> Height:
+        """Height in mm, at most 0, carried on past the edge at the edge's own height, for quadrature."""
 
     @abstractmethod
-    def margin(self, x: Float[Array, "..."], z: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Distance in mm, in the x-z plane, to the nearest edge: positive where there is material that can touch."""
+    def margin(self, x: Place, z: Place) -> Height:
+        """Distance in mm, in the x-z plane, to the nearest edge: positive where material can touch."""
 
     @property
     @abstractmethod
     def feature(self) -> float | None:
         """The smallest length in mm that a mesh should resolve, or None where nothing is small."""
 
-    def covers(self, x: Float[Array, "..."], z: Float[Array, "..."]) -> Bool[Array, "..."]:
+    def covers(self, x: Place, z: Place) -> Bool[Array, "..."]:
         """Whether there is material at (x, z) that can touch."""
         return self.margin(x, z) >= 0.0
 
-    def height(self, x: Float[Array, "..."], z: Float[Array, "..."]) -> Float[Array, "..."]:
+    def height(self, x: Place, z: Place) -> Height:
         """Height h in mm, at most 0; -1000 where nothing can touch."""
         return jnp.where(self.covers(x, z), self.surface(x, z), NOTHING)
 
 
 class Line(AbstractIndenter):
-    """A sharp wedge with a flat tip of a finite `width` (a line without width would carry no force in three dimensions)."""
+    """A sharp wedge with a flat tip of finite `width`; without one, a line carries no force in a solid."""
 
     width: Float[Array, ""] = eqx.field(default=0.05, converter=jnp.asarray)
     along: Axis = eqx.field(default="x", static=True)
@@ -74,10 +78,10 @@ class Line(AbstractIndenter):
         _positive(self, "width")
         _axis(self.along)
 
-    def surface(self, x, z):
-        return jnp.zeros_like(x + z)
+    def surface(self, x: Place, z: Place) -> Height:
+        return jnp.zeros_like(jnp.asarray(x) + z)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         return 0.5 * self.width - jnp.abs(_across(self.along, x, z))
 
     @property
@@ -94,10 +98,10 @@ class Point(AbstractIndenter):
     def __check_init__(self) -> None:
         _rounded(self, "radius", 1.0)
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         return -_drop(_distance(x, z) - (self.radius - self.edge_radius), self.edge_radius)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         return _reach(self.radius, self.edge_radius) - _distance(x, z)
 
     @property
@@ -114,10 +118,10 @@ class FlatCylinder(AbstractIndenter):
     def __check_init__(self) -> None:
         _rounded(self, "radius", 1.0)
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         return -_drop(_distance(x, z) - (self.radius - self.edge_radius), self.edge_radius)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         return _reach(self.radius, self.edge_radius) - _distance(x, z)
 
     @property
@@ -128,11 +132,11 @@ class FlatCylinder(AbstractIndenter):
 class FlatPlate(AbstractIndenter):
     """A plane without end."""
 
-    def surface(self, x, z):
-        return jnp.zeros_like(x + z)
+    def surface(self, x: Place, z: Place) -> Height:
+        return jnp.zeros_like(jnp.asarray(x) + z)
 
-    def margin(self, x, z):
-        return jnp.full_like(x + z, -NOTHING)
+    def margin(self, x: Place, z: Place) -> Height:
+        return jnp.full_like(jnp.asarray(x) + z, -NOTHING)
 
     @property
     def feature(self) -> float | None:
@@ -150,11 +154,11 @@ class Bar(AbstractIndenter):
         _rounded(self, "width", 0.5)
         _axis(self.along)
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         s = jnp.abs(_across(self.along, x, z))
         return -_drop(s - (0.5 * self.width - self.edge_radius), self.edge_radius)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         return _reach(0.5 * self.width, self.edge_radius) - jnp.abs(_across(self.along, x, z))
 
     @property
@@ -165,8 +169,8 @@ class Bar(AbstractIndenter):
 class Grating(AbstractIndenter):
     """Ridges with grooves between them that are deeper than skin reaches, a ridge centred on the origin.
 
-    With one `ridge` and one `groove` width they repeat without end; with (n,) ridges and (n - 1,) grooves they follow one another
-    towards +s, the first ridge on the origin.
+    With one `ridge` and one `groove` width they repeat without end; with (n,) ridges and (n - 1,) grooves
+    they follow one another towards +s, the first ridge on the origin.
     """
 
     ridge: Float[Array, "*n"] = eqx.field(converter=jnp.asarray)
@@ -179,7 +183,7 @@ class Grating(AbstractIndenter):
         _positive(self, "groove")
         _axis(self.along)
 
-    def _past_edge(self, x, z):
+    def _past_edge(self, x: Place, z: Place) -> Height:
         """Distance past the nearest ridge's side, negative on a ridge."""
         s = _across(self.along, x, z)
         if self.ridge.ndim == 0:
@@ -190,10 +194,10 @@ class Grating(AbstractIndenter):
         )
         return jnp.min(jnp.abs(s[..., None] - centre) - 0.5 * self.ridge, axis=-1)  # ... points, ridges
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         return -_drop(self._past_edge(x, z) + self.edge_radius, self.edge_radius)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         return _reach(0.0, self.edge_radius) - self._past_edge(x, z)
 
     @property
@@ -221,15 +225,16 @@ class Step(AbstractIndenter):
         _positive(self, "amplitude", "wavelength")
         _axis(self.along)
 
-    def _phase(self, x, z):
+    def _phase(self, x: Place, z: Place) -> Height:
         return 2.0 * math.pi * _across(self.along, x, z) / self.wavelength
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         phase = jnp.clip(self._phase(x, z), -0.5 * math.pi, 0.5 * math.pi)
         return -0.5 * self.amplitude * (1.0 + jnp.sin(phase))
 
-    def margin(self, x, z):
-        # |h'| = pi amplitude/wavelength |cos(phase)| exceeds tan 68 deg only within arccos(...) of the middle of a steep step.
+    def margin(self, x: Place, z: Place) -> Height:
+        # |h'| = pi amplitude/wavelength |cos(phase)| exceeds tan 68 deg only within arccos(...) of the middle
+        # of a steep step.
         steepest = jnp.maximum(math.pi * self.amplitude / self.wavelength, math.tan(FLANK))
         half = (
             jnp.arccos(jnp.minimum(math.tan(FLANK) / steepest, 1.0 - 1e-15))
@@ -252,10 +257,10 @@ class Sphere(AbstractIndenter):
     def __check_init__(self) -> None:
         _positive(self, "radius")
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         return -_drop(_distance(x, z), self.radius)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         return self.radius * math.sin(FLANK) - _distance(x, z)
 
     @property
@@ -273,10 +278,10 @@ class Cylinder(AbstractIndenter):
         _positive(self, "radius")
         _axis(self.along)
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         return -_drop(jnp.abs(_across(self.along, x, z)), self.radius)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         return self.radius * math.sin(FLANK) - jnp.abs(_across(self.along, x, z))
 
     @property
@@ -287,8 +292,8 @@ class Cylinder(AbstractIndenter):
 class Profile(AbstractIndenter):
     """A measured height over position, straight between its points and swept along the other axis.
 
-    `position` (n,) in mm, strictly increasing; `elevation` (n,) in mm, counted towards +y and shifted so that its top is 0. Pieces
-    steeper than 68 degrees are flanks; there is no material beyond the ends.
+    `position` (n,) in mm, strictly increasing; `elevation` (n,) in mm, counted towards +y and shifted so that
+    its top is 0. Pieces steeper than 68 degrees are flanks; there is no material beyond the ends.
     """
 
     position: Float[Array, " n"] = eqx.field(converter=jnp.asarray)
@@ -306,11 +311,11 @@ class Profile(AbstractIndenter):
         if not _traced(self.position) and np.any(np.diff(np.asarray(self.position)) <= 0):
             raise InputError("positions of a profile must increase", place="position", remedy="sort the rows")
 
-    def surface(self, x, z):
+    def surface(self, x: Place, z: Place) -> Height:
         s = _across(self.along, x, z)
         return jnp.interp(s, self.position, self.elevation) - jnp.max(self.elevation)
 
-    def margin(self, x, z):
+    def margin(self, x: Place, z: Place) -> Height:
         s = _across(self.along, x, z)
         left, right = self.position[:-1], self.position[1:]
         steep = jnp.abs(jnp.diff(self.elevation)) > math.tan(FLANK) * (right - left)
@@ -334,9 +339,11 @@ def from_spec(
     **Arguments:**
 
     - `shape`: one of `SHAPES`.
-    - `dimensions`: its lengths in mm by name, without units (`radius`, `width`, `edge_radius`, `amplitude`, ...).
+    - `dimensions`: its lengths in mm by name, without units (`radius`, `width`, `edge_radius`, `amplitude`,
+      ...).
     - `along`: "x" or "z", the axis on which a swept shape's height does not change; round shapes ignore it.
-    - `lists`: `position` and `height` of a profile, or `ridge` and `groove` of a grating that does not repeat, in mm.
+    - `lists`: `position` and `height` of a profile, or `ridge` and `groove` of a grating that does not
+      repeat, in mm.
 
     **Raises:** `InputError` for an unknown shape, an unknown, missing or impossible dimension.
     """
@@ -374,34 +381,35 @@ SHAPES: dict[str, tuple[Callable[..., AbstractIndenter], tuple[str, ...], tuple[
 SWEPT = ("line", "bar", "step", "cylinder", "grating", "profile")
 
 
-def _across(along: Axis, x, z):
+def _across(along: Axis, x: Place, z: Place) -> Height:
     """The coordinate on which a shape swept along `along` changes."""
-    return jnp.asarray(z + 0.0 * x if along == "x" else x + 0.0 * z)
+    x, z = jnp.broadcast_arrays(jnp.asarray(x), jnp.asarray(z))
+    return z if along == "x" else x
 
 
-def _distance(x, z):
+def _distance(x: Place, z: Place) -> Height:
     """Distance from the axis, with slope 0 rather than NaN on it."""
-    square = x * x + z * z
+    square = jnp.square(jnp.asarray(x)) + jnp.square(jnp.asarray(z))
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
-def _drop(distance, radius):
-    """Depth of a circular fillet `distance` past its start, kept at the flank's top beyond it; 0 for a sharp edge."""
+def _drop(distance: Height, radius: Float[Array, ""]) -> Height:
+    """Depth of a circular fillet `distance` past its start, constant from the flank on; 0 if sharp."""
     d = jnp.clip(distance, 0.0, radius * math.sin(FLANK))
     root = jnp.sqrt(jnp.where(radius > 0, radius * radius - d * d, 1.0))
     return jnp.where(radius > 0, d * d / jnp.where(radius > 0, radius + root, 1.0), 0.0)
 
 
-def _reach(half_width, edge_radius):
+def _reach(half_width: Float[ArrayLike, ""], edge_radius: Float[Array, ""]) -> Float[Array, ""]:
     """Distance from the middle at which the fillet turns into a flank."""
-    return half_width - edge_radius * (1.0 - math.sin(FLANK))
+    return jnp.asarray(half_width) - edge_radius * (1.0 - math.sin(FLANK))
 
 
-def _traced(*values) -> bool:
+def _traced(*values: object) -> bool:
     return any(isinstance(value, jax.core.Tracer) for value in values)
 
 
-def _smallest(*lengths) -> float | None:
+def _smallest(*lengths: Any) -> float | None:
     return None if _traced(*lengths) else min(float(length) for length in lengths if float(length) > 0)
 
 
@@ -415,7 +423,7 @@ def _positive(shape: AbstractIndenter, *names: str) -> None:
 def _rounded(shape: AbstractIndenter, size: str, share: float) -> None:
     """Check a size and the edge radius that must fit into `share` of it."""
     _positive(shape, size)
-    width, edge = getattr(shape, size), shape.edge_radius
+    width, edge = (getattr(shape, name) for name in (size, "edge_radius"))
     if _traced(width, edge) or np.ndim(width) or np.ndim(edge):
         return
     if not 0.0 <= float(edge) <= share * float(width) * (1.0 + 1e-12):

@@ -1,16 +1,17 @@
 """The skin that can be touched: its nodes, its quadrature, and a space of its own for the contact pressure.
 
-A uniform pressure puts no consistent force on the vertices of a quadratic triangle, so contact cannot be decided node by node.
-The pressure is a sum of hat functions phi_j instead, one for each vertex and linear on each facet, and the gap is averaged
-against each hat:
+A uniform pressure puts no consistent force on the vertices of a quadratic triangle, so contact cannot be
+decided node by node. The pressure is a sum of hat functions phi_j instead, one for each vertex and linear on
+each facet, and the gap is averaged against each hat:
 
     load[i, j] = int N_i phi_j,   overlap[j] = int phi_j (Y + h - y_skin),   area[j] = int phi_j,
 
-all integrals over the x-z plane, over the part that the indenter covers. N_i are the quadratic shape functions of the skin.
+all integrals over the x-z plane, over the part that the indenter covers. N_i are the quadratic shape
+functions of the skin.
 
-Why vertices: measured on a half-space (tests/halfspace.py), in per cent, the worst of three positions on the mesh, against facet
-edges per contact radius. One hat for each quadratic node has four times the unknowns and leaves a 5 % ripple in the pressure that
-refinement does not remove; vertex hats converge in everything.
+Why vertices: measured on a half-space (tests/halfspace.py), in per cent, the worst of three positions on the
+mesh, against facet edges per contact radius. One hat for each quadratic node has four times the unknowns and
+leaves a 5 % ripple in the pressure that refinement does not remove; vertex hats converge in everything.
 
 | edges per radius | Hertz force | Hertz peak pressure | Hertz area | punch force |
 |---|---|---|---|---|
@@ -28,28 +29,27 @@ An edge is half the node count: two facet edges per contact radius are four node
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from fingerjax.contact.indenter import AbstractIndenter, Line
 from fingerjax.errors import InputError
 
-STEEPEST_SKIN = (
-    0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways and cannot be pressed
-)
+STEEPEST_SKIN = 0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways
 SLIVER = 0.02  # a hat with less than this share of its own area under the indenter carries no pressure
 FAR = 1e3  # mm
 
 
+@runtime_checkable
 class SkinMesh(Protocol):
     """What this file needs of a finger: `nodes` (n, 3) in mm and `skin` (f, 6), normals outward."""
 
@@ -61,7 +61,7 @@ class SkinMesh(Protocol):
 
 @dataclass(frozen=True)
 class Indentation:
-    """One thing that will be pressed: an indenter, its origin (x0, z0) in mm, and the largest travel in mm to expect."""
+    """One thing that will be pressed: an indenter, its origin (x0, z0), and the largest travel, in mm."""
 
     indenter: AbstractIndenter
     origin: tuple[float, float]
@@ -97,10 +97,11 @@ class Pad(eqx.Module):
 class Interface(eqx.Module):
     """Geometry of one contact, with the indenter at first contact.
 
-    `load` (p, k) in mm^2: nodal forces of a unit of each pressure; `overlap` (k,) in mm^3 and `area` (k,) in mm^2: integrals of
-    overlap and of 1 against each hat. A hat that lies off the indenter has area 0 and takes no part. `lowest` is the y in mm at
-    which the indenter first touches; travel is counted from there. `pieces` (r, 3), or (r, 2) of a line, are the hats of each
-    facet and `covered` (r,) in mm^2 how much of it lies under the indenter.
+    `load` (p, k) in mm^2: nodal forces of a unit of each pressure; `overlap` (k,) in mm^3 and `area` (k,) in
+    mm^2: integrals of overlap and of 1 against each hat. A hat that lies off the indenter has area 0 and
+    takes no part. `lowest` is the y in mm at which the indenter first touches; travel is counted from there.
+    `pieces` (r, 3), or (r, 2) of a line, are the hats of each facet and `covered` (r,) in mm^2 how much of it
+    lies under the indenter.
     """
 
     load: Float[Array, "p k"]
@@ -115,7 +116,7 @@ class Interface(eqx.Module):
 # --- quadratic triangle, barycentric (1 - a - b, a, b), nodes: vertices, then midsides 01, 12, 20
 
 
-def _shapes(a, b):
+def _shapes(a: Float[ArrayLike, "..."], b: Float[ArrayLike, "..."]) -> Float[Array, "... 6"]:
     """Quadratic shape functions (..., 6)."""
     c = 1.0 - a - b
     return jnp.stack(
@@ -123,9 +124,9 @@ def _shapes(a, b):
     )
 
 
-def _slopes(a, b):
+def _slopes(a: Float[ArrayLike, "..."], b: Float[ArrayLike, "..."]) -> Float[Array, "... 2 6"]:
     """Their derivatives in (a, b): (..., 2, 6)."""
-    c, o = 1.0 - a - b, jnp.zeros_like(a)
+    c, o = 1.0 - a - b, jnp.zeros_like(jnp.asarray(a))
     in_a = [1 - 4 * c, 4 * a - 1, o, 4 * (c - a), 4 * b, -4 * b]
     in_b = [1 - 4 * c, o, 4 * b - 1, -4 * a, 4 * a, 4 * (c - b)]
     return jnp.stack([jnp.stack(in_a, -1), jnp.stack(in_b, -1)], axis=-2)
@@ -136,7 +137,7 @@ _CORNERS = np.array([(0, 0), (1, 0), (0, 1), (0.5, 0), (0.5, 0.5), (0, 0.5)], fl
 
 
 def _rule() -> tuple[np.ndarray, np.ndarray]:
-    """Points (24, 2) and weights (24,) summing to 1/2: 6 points, exact to degree 4, in each quarter of the triangle."""
+    """Points (24, 2) and weights (24,) summing to 1/2: 6, exact to degree 4, in each quarter triangle."""
     a, b = 0.445948490915965, 0.091576213509771
     one = [(a, a), (1 - 2 * a, a), (a, 1 - 2 * a), (b, b), (1 - 2 * b, b), (b, 1 - 2 * b)]
     bary = np.array([(1 - s - t, s, t) for s, t in one])
@@ -177,14 +178,15 @@ def pad_for(finger: SkinMesh, indentations: Sequence[Indentation]) -> Pad:
 def windows(whole: Pad, indentations: Sequence[Indentation]) -> Pad:
     """One small pad for each indentation, cut from `whole` and stacked along a leading axis, for `jax.vmap`.
 
-    `columns` says which of the whole pad's nodes each window has. Short windows are filled up with facets of no area.
+    `columns` says which of the whole pad's nodes each window has. Short windows are filled up with facets of
+    no area.
     """
     cuts = [np.flatnonzero(_reached(whole, one)) for one in indentations]
     return _stack([_cut(whole, cut) for cut in cuts])
 
 
 def functionals(whole: Pad, nodes: int) -> sp.csc_matrix:
-    """Columns (3 nodes, p): the y-displacement of each pad node, which is also a unit force along +y on it."""
+    """Columns (3 nodes, p): the y-displacement of each pad node, also a unit force along +y on it."""
     p = len(whole.nodes)
     return sp.csc_matrix((np.ones(p), (3 * np.asarray(whole.nodes) + 1, np.arange(p))), shape=(3 * nodes, p))
 
@@ -263,7 +265,7 @@ def _border(facets: np.ndarray) -> np.ndarray:
 
 
 def _reached(whole: Pad, one: Indentation) -> np.ndarray:
-    """Facets that come within a quarter of the travel of the indenter (soft skin bulges), and their neighbours."""
+    """Facets within a quarter of the travel of the indenter (soft skin bulges), and their neighbours."""
     lowest = first_contact(whole, one.indenter, one.origin)
     at = np.einsum(
         "sa,fai->fsi", np.asarray(_shapes(*_SAMPLES.T)), np.asarray(whole.points)[np.asarray(whole.facets)]
@@ -327,14 +329,9 @@ def _stack(pads: Sequence[Pad]) -> Pad:
 
 
 def _filled(leaf: Array, length: int) -> Array:
-    """Repeat index 0 and positions; areas and flags are filled with 0."""
-    short = length - len(leaf)
-    repeated = jnp.zeros if leaf.dtype == bool or leaf.ndim < 3 and leaf.dtype != int else None
-    filler = (
-        jnp.zeros((short, *leaf.shape[1:]), leaf.dtype)
-        if repeated
-        else jnp.broadcast_to(leaf[:1], (short, *leaf.shape[1:]))
-    )
+    """Repeat the first index or position; areas and flags are filled with 0."""
+    like = jnp.zeros_like if leaf.dtype == bool or (leaf.dtype == float and leaf.ndim < 3) else jnp.asarray
+    filler = jnp.broadcast_to(like(leaf[:1]), (length - len(leaf), *leaf.shape[1:]))
     return jnp.concatenate([leaf, filler])
 
 
@@ -344,7 +341,7 @@ def _filled(leaf: Array, length: int) -> Array:
 def locate(
     pad: Pad, x: Float[Array, " m"], z: Float[Array, " m"]
 ) -> tuple[Int[Array, " m"], Float[Array, "m 6"], Bool[Array, " m"]]:
-    """The curved facet over each (x, z), its shape functions there, and whether (x, z) is over the pad at all.
+    """The curved facet over each (x, z), its shape functions there, and whether the pad has this (x, z).
 
     Newton's iteration in the facet's own parameters; the last step carries the derivatives in x and z.
     """
@@ -368,7 +365,10 @@ def locate(
     return facet, _shapes(at[:, 0], at[:, 1]), inside
 
 
-def _newton(nodes, at, target):
+def _newton(
+    nodes: Float[Array, "m 6 2"], at: Float[Array, "m 2"], target: Float[Array, "m 2"]
+) -> Float[Array, "m 2"]:
+    """One step towards the parameters at which each facet passes through its target in x-z."""
     shape, slope = _shapes(at[:, 0], at[:, 1]), _slopes(at[:, 0], at[:, 1])
     miss = target - jnp.einsum("ma,mai->mi", shape, nodes)
     j = jnp.einsum("mda,mai->mid", slope, nodes)  # i (x, z), d (a, b)
@@ -379,11 +379,12 @@ def _newton(nodes, at, target):
     return at + jnp.clip(jnp.stack([step_a, step_b], -1), -1.0, 1.0)
 
 
-def first_contact(pad: Pad, indenter: AbstractIndenter, origin) -> Float[Array, ""]:
+def first_contact(pad: Pad, indenter: AbstractIndenter, origin: Any) -> Float[Array, ""]:
     """The y in mm at which the indenter, coming from -y, first touches the undeformed skin.
 
-    Samples on every facet, then a closer and closer look at the best eight facets. Differentiable in shape and pose with the point
-    of first contact held (exact to first order, unless that point rides on an edge without a fillet).
+    Samples on every facet, then a closer and closer look at the best eight facets. Differentiable in shape
+    and pose with the point of first contact held (exact to first order, unless that point rides on an edge
+    without a fillet).
     """
     if isinstance(indenter, Line):
         return jnp.min(_line_stations(pad, indenter, origin).clearance)
@@ -397,18 +398,22 @@ def first_contact(pad: Pad, indenter: AbstractIndenter, origin) -> Float[Array, 
     return jnp.min(gap(corners[best][:, None], at[:, None])[:, 0])
 
 
-def _gap(nodes, at, *, indenter, origin):
-    """Clearance y_skin - h at parameters `at` (..., 2) of facets with `nodes` (..., 6, 3); far away where nothing can touch."""
+def _gap(
+    nodes: Float[Array, "... 6 3"], at: Float[Array, "... 2"], *, indenter: AbstractIndenter, origin: Any
+) -> Float[Array, "..."]:
+    """Clearance y_skin - h at parameters `at` of facets with `nodes`; far away where nothing can touch."""
     place = jnp.einsum("...a,...ai->...i", _shapes(at[..., 0], at[..., 1]), nodes)
     x, z = place[..., 0] - origin[0], place[..., 2] - origin[1]
     return jnp.where(indenter.covers(x, z), place[..., 1] - indenter.surface(x, z), FAR)
 
 
-def _closer(gap, start):
-    """Lower `gap` over the triangle's parameters by looking around the best point on ever finer 5 x 5 lattices."""
+def _closer(
+    gap: Callable[[Float[Array, "c n 2"]], Float[Array, "c n"]], start: Float[Array, "c 2"]
+) -> Float[Array, "c 2"]:
+    """Lower `gap` over the triangle by looking around the best point on ever finer 5 x 5 lattices."""
     grid = jnp.stack(jnp.meshgrid(jnp.linspace(-1, 1, 5), jnp.linspace(-1, 1, 5)), -1).reshape(-1, 2)
 
-    def look(round_, at):
+    def look(round_: Int[Array, ""], at: Float[Array, "c 2"]) -> Float[Array, "c 2"]:
         around = jnp.clip(at[:, None] + grid * (0.5 ** (round_ + 2.5)), 0.0, 1.0)
         around = around / jnp.maximum(jnp.sum(around, -1, keepdims=True), 1.0)
         return jnp.take_along_axis(around, jnp.argmin(gap(around), axis=1)[:, None, None], axis=1)[:, 0]
@@ -416,11 +421,11 @@ def _closer(gap, start):
     return jax.lax.fori_loop(0, 22, look, start)
 
 
-def interface(pad: Pad, indenter: AbstractIndenter, origin=(0.0, 0.0)) -> Interface:
-    """Load, overlap and area of the pressure hats under an indenter whose origin stands at `origin` = (x0, z0) in mm.
+def interface(pad: Pad, indenter: AbstractIndenter, origin: Any = (0.0, 0.0)) -> Interface:
+    """Load, overlap and area of the pressure hats under an indenter with its origin at (x0, z0), in mm.
 
-    Traceable, and differentiable in the indenter's shape and pose through the overlap and through the covered area: the edge of
-    the indenter cuts a quadrature point's own area in proportion.
+    Traceable, and differentiable in the indenter's shape and pose through the overlap and through the covered
+    area: the edge of the indenter cuts a quadrature point's own area in proportion.
     """
     if isinstance(indenter, Line):
         return _line_interface(pad, indenter, origin)
@@ -466,8 +471,8 @@ class _Stations(eqx.Module):
 _GAUSS_ALONG, _GAUSS_ACROSS = np.polynomial.legendre.leggauss(4), np.polynomial.legendre.leggauss(3)
 
 
-def _line_stations(pad: Pad, line: Line, origin) -> _Stations:
-    """Points on the line's tip: hats as far apart as the pad's nodes, four Gauss points between hats, three across the tip."""
+def _line_stations(pad: Pad, line: Line, origin: Any) -> _Stations:
+    """Points on the tip: hats as far apart as the pad's nodes, four Gauss points between, three across."""
     low, high = pad.box[:2] if line.along == "x" else pad.box[2:]
     pieces = max(int(np.ceil((high - low) / pad.spacing)), 1)
     step = (high - low) / pieces
@@ -491,7 +496,7 @@ def _line_stations(pad: Pad, line: Line, origin) -> _Stations:
     )
 
 
-def _line_interface(pad: Pad, line: Line, origin) -> Interface:
+def _line_interface(pad: Pad, line: Line, origin: Any) -> Interface:
     at = _line_stations(pad, line, origin)
     lowest, k = jnp.min(at.clearance), at.count
     local = at.weight[:, None, None] * at.shape[:, :, None] * at.values[:, None, :]  # m point, a node, b hat

@@ -2,10 +2,10 @@
 
     rate = scale * max(quantity - threshold, 0)
 
-The kink is kept sharp: rounding it would be a leak of spikes below threshold that nobody measured. A Levenberg-Marquardt step sees
-nothing of a position below threshold, so it must not start with all of them there. `start` gives the best scale and threshold for
-quantities at the start values of everything else; there the positions that fire lie above threshold. At the kink itself the slope is
-that of the firing side.
+The kink is kept sharp: rounding it would be a leak of spikes below threshold that nobody measured. A
+Levenberg-Marquardt step sees nothing of a position below threshold, so it must not start with all of them
+there. `start` gives the best scale and threshold for quantities at the start values of everything else; there
+the positions that fire lie above threshold. At the kink itself the slope is that of the firing side.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fingerjax.errors import InputError
 
@@ -29,7 +29,7 @@ class AbstractAfferent(eqx.Module):
 
 
 class Threshold(AbstractAfferent):
-    """A rate proportional to what exceeds the threshold: `scale` in Hz per unit of the quantity, `threshold` in its unit."""
+    """Proportional to what exceeds the threshold: `scale` in Hz per unit of quantity, `threshold` in it."""
 
     scale: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     threshold: Float[Array, ""] = eqx.field(converter=jnp.asarray)
@@ -38,10 +38,12 @@ class Threshold(AbstractAfferent):
         return rate(quantity, self.scale, self.threshold)
 
 
-def rate(quantity: Float[Array, "..."], scale, threshold) -> Float[Array, "..."]:
+def rate(
+    quantity: Float[ArrayLike, "..."], scale: Float[ArrayLike, ""], threshold: Float[ArrayLike, ""]
+) -> Float[Array, "..."]:
     """scale * max(quantity - threshold, 0), in Hz."""
-    above = quantity - threshold
-    return scale * jnp.where(above >= 0.0, above, 0.0)
+    above = jnp.asarray(quantity) - threshold
+    return jnp.asarray(scale) * jnp.where(above >= 0.0, above, 0.0)
 
 
 def start(
@@ -49,8 +51,8 @@ def start(
 ) -> tuple[float, float]:
     """Scale and threshold that minimise sum of weight * (observed - rate(quantity))^2, found exactly.
 
-    Between two neighbouring values of the quantity the same rows fire, and the problem is a straight line. So every split is
-    solved, its threshold kept inside its interval, and the best is taken. Scale is positive.
+    Between two neighbouring values of the quantity the same rows fire, and the problem is a straight line. So
+    every split is solved, its threshold kept inside its interval, and the best is taken. Scale is positive.
 
     **Arguments:** `quantity` and `observed` (n,), the rates in Hz; `weight` (n,), 1/sigma^2.
 
@@ -75,8 +77,8 @@ def _edges(q: np.ndarray) -> np.ndarray:
     return np.concatenate([[values[0] - 1e3 * np.ptp(values)], values])
 
 
-def _split(q, r, w, low: float, high: float) -> list[tuple[float, float]]:
-    """The best line through the rows above `low`, if its threshold lies in [low, high], and the best with it at either end."""
+def _split(q: np.ndarray, r: np.ndarray, w: np.ndarray, low: float, high: float) -> list[tuple[float, float]]:
+    """The best line with its threshold inside [low, high], if any, and the best with it at either end."""
     on = q >= high
     found = [(_slope(q[on] - end, r[on], w[on]), end) for end in (low, high)]
     mean_q, mean_r = np.average(q[on], weights=w[on]), np.average(r[on], weights=w[on])
@@ -86,10 +88,10 @@ def _split(q, r, w, low: float, high: float) -> list[tuple[float, float]]:
     return [(float(s), float(t)) for s, t in found if s > 0] or [(1e-12, float(low))]
 
 
-def _slope(x, y, w) -> float:
+def _slope(x: np.ndarray, y: np.ndarray, w: np.ndarray) -> float:
     bottom = np.sum(w * x * x)
     return np.sum(w * x * y) / bottom if bottom > 0 else 0.0
 
 
-def _misfit(q, r, w, scale: float, threshold: float) -> float:
+def _misfit(q: np.ndarray, r: np.ndarray, w: np.ndarray, scale: float, threshold: float) -> float:
     return float(np.sum(w * (r - scale * np.maximum(q - threshold, 0.0)) ** 2))

@@ -1,10 +1,12 @@
 """What a mechanoreceptor may feel: scalars of the strain and stress at its place.
 
-Strain is a vector (..., 6) in the order xx, yy, zz, yz, xz, xy with engineering shears (gamma = 2 epsilon); stress likewise in MPa.
-Tissue is linear and isotropic: Young's modulus E in MPa and Poisson's ratio nu, those of the layer that holds the receptor.
+Strain is a vector (..., 6) in the order xx, yy, zz, yz, xz, xy with engineering shears (gamma = 2 epsilon);
+stress likewise in MPa. Tissue is linear and isotropic: Young's modulus E in MPa and Poisson's ratio nu, those
+of the layer that holds the receptor.
 
-Four of them are the paper's candidates for what drives SA-I afferents (Dandekar, Raju & Srinivasan 2003, Fig. 11). All grow when
-skin is pressed: `mean_normal_stress` and `vertical_compressive_stress` are positive in compression.
+Four of them are the paper's candidates for what drives SA-I afferents (Dandekar, Raju & Srinivasan 2003, Fig.
+11). All grow when skin is pressed: `mean_normal_stress` and `vertical_compressive_stress` are positive in
+compression.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 Voigt = Float[Array, "*b 6"]
 Scalar = Float[Array, "*b"]
@@ -33,7 +35,9 @@ class Receptor(eqx.Module):
         return stress(self.strain, self.youngs_modulus, self.poisson_ratio)
 
 
-def stress(strain: Voigt, youngs_modulus, poisson_ratio) -> Voigt:
+def stress(
+    strain: Voigt, youngs_modulus: Float[ArrayLike, "..."], poisson_ratio: Float[ArrayLike, "..."]
+) -> Voigt:
     """sigma = lambda tr(epsilon) 1 + 2 mu epsilon, in MPa."""
     modulus, ratio = jnp.asarray(youngs_modulus)[..., None], jnp.asarray(poisson_ratio)[..., None]
     shear = modulus / (2.0 * (1.0 + ratio))
@@ -92,8 +96,9 @@ UNITS = {name: "1" if name == "maximum_compressive_strain" else "MPa" for name i
 def _principal(voigt: Voigt, shear: float) -> Float[Array, "*b 3"]:
     """Eigenvalues, ascending, of the symmetric tensor whose shears are `shear` times the vector's.
 
-    The eigenvectors are held while differentiating: d lambda = v' dA v. That is exact for simple eigenvalues, a directional
-    derivative at repeated ones, and never divides by their difference. Second derivatives are not those of an eigenvalue.
+    The eigenvectors are held while differentiating: d lambda = v' dA v. That is exact for simple eigenvalues,
+    a directional derivative at repeated ones, and never divides by their difference. Second derivatives are
+    not those of an eigenvalue.
     """
     xx, yy, zz, yz, xz, xy = jnp.moveaxis(voigt * jnp.array([1.0, 1.0, 1.0, shear, shear, shear]), -1, 0)
     rows = [jnp.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))]
