@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import scipy.linalg as la
@@ -197,7 +198,7 @@ class SlabFactor:
         self.size, self.free = stiffness.shape[0], free
         self.matrix = stiffness[free][:, free].tocsr()
         edges = np.searchsorted(slab, np.arange(slab.max() + 2))
-        self.parts = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+        self.parts = [slice(a, b) for a, b in pairwise(edges) if b > a]
         self.diagonal: list[Array] = []
         self.coupling: list[Array] = []
         for m, part in enumerate(self.parts):

@@ -6,7 +6,6 @@ noiseless instruments would read; `generate` adds noise and writes files.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,7 +171,7 @@ def _along(body: Body, deflections: Array, z: Array) -> Array:
 
 
 def _steps(first: float, last: float, step: float) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.round(np.arange(first, last + 0.5 * step, step), 6))
+    return tuple(float(v) + 0.0 for v in np.round(np.arange(first, last + 0.5 * step, step), 6))
 
 
 def _cylinder(diameter: float) -> dict[str, object]:
@@ -189,7 +188,7 @@ _ALONG = _steps(-9.0, 9.0, 0.5)
 
 LAYER_RATIOS = Case(
     name="layer_ratios",
-    title="Index finger, nail glued down: skin deflection under two cylinders across the pad, and plate force.",
+    title="Index finger, nail glued: skin deflection under two cylinders laid across it, and plate force.",
     finger=HUMAN,
     moduli=(0.18, 0.018, 0.012, 0.02),
     start=(0.18, 0.018, 0.018, 0.018),
@@ -205,11 +204,11 @@ LAYER_RATIOS = Case(
 
 SA1_BAR = Case(
     name="sa1_bar",
-    title="Macaque finger, nail glued down: an SA-I afferent under a bar swept along the pad, and plate force.",
+    title="Macaque finger, nail glued down: SA-I afferent under a bar swept along it, and plate force.",
     finger=MONKEY,
     moduli=(0.14, 0.014, 0.010, 0.016),
     start=(0.14, 0.014, 0.014, 0.014),
-    divisions=Divisions(pad=0.3, reach=3.6, flank=0.45, span=6.8, rest=1.2, palmar=7.5),
+    divisions=Divisions(pad=0.15, reach=1.2, flank=0.3, span=6.8, rest=1.2),
     reach=8.3,
     records=(
         Rates(
@@ -219,8 +218,8 @@ SA1_BAR = Case(
             {"shape": "bar", "width_mm": 3.0, "edge_radius_mm": 0.3},
             1.0,
             _steps(-5.1, 5.1, 0.3),
-            scale=1.0,
-            threshold=0.0,
+            scale=133300.0,
+            threshold=6.0e-5,
         ),
         _PLATE,
     ),
@@ -229,8 +228,6 @@ SA1_BAR = Case(
 )
 
 CASES: dict[str, Case] = {case.name: case for case in (LAYER_RATIOS, SA1_BAR)}
-
-Noise = Callable[[Profiles | Forces | Rates, Array], Array]
 
 
 def noise_sigma(record: Profiles | Forces | Rates, clean: Array, fraction: float) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -164,7 +165,7 @@ def divide(breaks: Sequence[float], size: Callable[[float], float]) -> Array:
     """Grid through all `breaks` whose steps are no longer than `size` at the middle of each stretch between
     breaks."""
     grid = [breaks[0]]
-    for a, b in zip(breaks[:-1], breaks[1:], strict=True):
+    for a, b in pairwise(breaks):
         steps = max(1, int(np.ceil((b - a) / size(0.5 * (a + b)) - 1e-9)))
         grid += list(a + (b - a) * np.arange(1, steps + 1) / steps)
     return np.array(grid)

@@ -87,7 +87,7 @@ class Body:
 
     pad (m,) node numbers of the skin that can be touched; border (m,) those at the rim of that skin; faces
     (f, 8) bricks' outer nodes as positions in `pad`; corners (f, 8, 3) their places; compliance (m, m) mm/N
-    of u_y under forces along y; stiffness its inverse; readings (r, m) per N: first u_y at the `watched`
+    of u_y under forces along y; readings (r, m) per N: first u_y at the `watched`
     nodes, then 6 strains a receptor; `residual` of the linear solves; `symmetry` by how much a computed
     force must be multiplied to be that of the whole body.
     """
@@ -98,7 +98,6 @@ class Body:
     faces: Array
     corners: Array
     compliance: Array
-    stiffness: Array
     watched: Array
     readings: Array
     receptor_layers: tuple[int, ...]
@@ -146,7 +145,6 @@ def condense(
         faces,
         mesh.nodes[pad][faces],
         compliance,
-        la.inv(compliance),
         watched,
         seen[len(pad) :],
         tuple(layer for _, layer in strains),
@@ -270,36 +268,58 @@ def press(
     RuntimeError when the set of points in contact does not settle, the penalty stays felt, or contact
     reaches skin that was not declared touchable.
     """
-    breaks = at + np.array(indenter.edges)
-    if split > 1:
-        z = np.unique(body.corners[:, :, 2][:, NATURAL[_FACE][:, 2] != 0].round(9))
-        breaks = np.concatenate(
-            [breaks, *((z[:-1] * (split - n) + z[1:] * n) / split for n in range(1, split))]
-        )
-    points = contact_points(body, np.unique(breaks), order)
-    height = indenter.height(points.x, points.z - at)
-    over = np.isfinite(height) & (points.area > 0.0)
-    start = _touching_height(body, indenter, at)
-    overlap = np.where(over, start + travel + np.where(over, height, 0.0) - points.y, -np.inf)
-    near = np.flatnonzero(overlap > -travel)  # skin bulges onto an indenter by less than the travel
-    rows, gap, area = points.rows[near], overlap[near], points.area[near]
-    u, force, penalty = np.zeros(len(body.pad)), 0.0, _first_penalty(body, rows, area)
-    for _ in range(12):
-        u = _settle(body.stiffness, rows, gap, penalty * area, u)
-        pressure = penalty * area * np.maximum(gap - rows @ u, 0.0)
-        before, force = force, float(pressure.sum())
-        drift = abs(force - before) / max(force, 1e-300)
-        if drift < tolerance:
-            break
-        penalty *= 4.0
-    else:
-        raise RuntimeError(f"force still changes by {drift:.1e} with the penalty; refine the mesh")
-    left, nodal = gap - rows @ u, rows.T @ pressure
+    points, overlap = _overlap(body, indenter, at, order, split)
+    near = np.flatnonzero(overlap > -2.0 * travel)  # skin bulges onto an indenter by less than the travel
+    rows, gap, area = points.rows[near], overlap[near] + travel, points.area[near]
+    nodes = np.unique(rows.indices)
+    compliance, rows = body.compliance[np.ix_(nodes, nodes)], rows[:, nodes]
+    u, pressure, drift = _raise_penalty(compliance, rows, gap, area, tolerance)
+    nodal = np.zeros(len(body.pad))
+    nodal[nodes] = rows.T @ pressure
     if np.any(nodal[body.border] != 0.0):
         raise RuntimeError(
             f"contact at z = {at:g}, travel {travel:g} reached skin that was not made touchable"
         )
-    return Press(force * body.symmetry, travel, nodal, u, near[pressure > 0], float(left.max()), drift)
+    force, deepest = float(pressure.sum()) * body.symmetry, float((gap - rows @ u).max())
+    return Press(force, travel, nodal, body.compliance @ nodal, near[pressure > 0], deepest, drift)
+
+
+def _overlap(body: Body, indenter: Indenter, at: float, order: int, split: int) -> tuple[Points, Array]:
+    """Contact points and the height of the indenter at first contact above the skin there (<= 0; -inf:
+    none)."""
+    breaks = at + np.array(indenter.edges)
+    if split > 1:
+        z = np.unique(body.corners[:, :, 2][:, NATURAL[_FACE][:, 2] != 0].round(9))
+        strips = [(z[:-1] * (split - n) + z[1:] * n) / split for n in range(1, split)]
+        breaks = np.concatenate([breaks, *strips])
+    points = contact_points(body, np.unique(breaks), order)
+    height = indenter.height(points.x, points.z - at)
+    over = np.isfinite(height) & (points.area > 0.0)
+    start = _touching_height(body, indenter, at)
+    return points, np.where(over, start + np.where(over, height, 0.0) - points.y, -np.inf)
+
+
+def _raise_penalty(
+    compliance: Array, rows: sp.csr_matrix, gap: Array, area: Array, tolerance: float
+) -> tuple[Array, Array, float]:
+    """Displacements, forces at the points and the force's last relative change, once the penalty is idle.
+
+    Nodes that no contact point touches carry no force and drop out, so the body's stiffness is the inverse of
+    the others' compliance.
+    """
+    stiffness, u = la.inv(compliance), np.zeros(len(compliance))
+    load = rows.T @ (area / area.sum())
+    penalty = 30.0 / float(load @ compliance @ load) / float(area.sum())  # 30 times the body's own resistance
+    force = 0.0
+    for _ in range(12):
+        u = _settle(stiffness, rows, gap, penalty * area, u)
+        pressure = penalty * area * np.maximum(gap - rows @ u, 0.0)
+        before, force = force, float(pressure.sum())
+        drift = abs(force - before) / max(force, 1e-300)
+        if drift < tolerance:
+            return u, pressure, drift
+        penalty *= 4.0
+    raise RuntimeError(f"force still changes by {drift:.1e} with the penalty; refine the mesh")
 
 
 def _touching_height(body: Body, indenter: Indenter, at: float) -> float:
@@ -310,12 +330,6 @@ def _touching_height(body: Body, indenter: Indenter, at: float) -> float:
     grid = np.stack([np.ones((41, 41)), *np.meshgrid(side, side, indexing="ij")], -1).reshape(-1, 3)
     dense = _points(body, order[: max(60, len(order) // 3)], grid, np.ones(len(grid)))
     return first_contact(dense, indenter, at)
-
-
-def _first_penalty(body: Body, rows: sp.csr_matrix, area: Array) -> float:
-    """A pressure per mm about thirty times what the body itself resists with."""
-    load = rows.T @ (area / area.sum())
-    return 30.0 / float(load @ body.compliance @ load) / float(area.sum())
 
 
 def _settle(stiffness: Array, rows: sp.csr_matrix, gap: Array, weight: Array, u: Array) -> Array:
