@@ -510,4 +510,5 @@ def _line_interface(pad: Pad, line: Line, origin: Any) -> Interface:
     rim = (ends < jnp.argmax(full > 0) + 1) | (ends > k - 2 - jnp.argmax(full[::-1] > 0))
     pieces = jnp.stack([ends[:-1], ends[1:]], axis=1)
     covered = jnp.sum(at.weight.reshape(k - 1, -1), axis=1)
-    return _without_slivers(Interface(load, overlap, full, rim, lowest, pieces, covered), jnp.max(full))
+    whole = jnp.full(k, jnp.max(full))
+    return _without_slivers(Interface(load, overlap, full, rim, lowest, pieces, covered), whole)

@@ -151,11 +151,11 @@ def _number(cell: str, file: str, place: str) -> float:
 
 
 def _gather(table: dict[str, np.ndarray], lines: list[int], file: str) -> Sections:
-    """Rows sorted into sections; every section must have the first one's angles and one centre."""
+    """Rows sorted into sections; every section must have the same angles and one centre."""
     z = table["z"]
     starts = np.flatnonzero(np.r_[True, np.diff(z) != 0.0])
     ends = np.r_[starts[1:], len(z)]
-    theta = table["theta"][starts[0] : ends[0]]
+    theta = _usual_angles([table["theta"][a:b] for a, b in zip(starts, ends, strict=True)])
     for start, end in zip(starts, ends, strict=True):
         _check_rows(table, slice(int(start), int(end)), theta, lines, file)
     shape = (len(starts), len(theta))
@@ -164,15 +164,22 @@ def _gather(table: dict[str, np.ndarray], lines: list[int], file: str) -> Sectio
     return Sections(z=z[starts], theta=theta, centre=centre, radii=radii, file=file)
 
 
+def _usual_angles(each: list[np.ndarray]) -> np.ndarray:
+    """The angles that most sections have, so that a slip is found in the section that it is in."""
+    lengths = [len(angles) for angles in each]
+    usual = max(set(lengths), key=lengths.count)
+    return np.median([angles for angles in each if len(angles) == usual], axis=0)
+
+
 def _check_rows(
     table: dict[str, np.ndarray], rows: slice, theta: np.ndarray, lines: list[int], file: str
 ) -> None:
-    """One section against the first: the same angles in the same order, one centre."""
+    """One section against the usual one: the same angles in the same order, one centre."""
     z, angles = table["z"][rows.start], table["theta"][rows]
     place = f"rows {lines[rows.start]}-{lines[rows.stop - 1]} (z = {z:g} mm)"
     if len(angles) != len(theta):
         raise InputError(
-            "section does not close: it has not the angles of the first section",
+            "section does not close: it has not the angles of the others",
             file=file,
             place=place,
             seen=f"{len(angles)} angles, not {len(theta)}",
@@ -181,7 +188,7 @@ def _check_rows(
     wrong = np.flatnonzero(np.abs(angles - theta) > 1e-9)
     if len(wrong):
         raise InputError(
-            "angle differs from the first section's",
+            "angle differs from the other sections'",
             file=file,
             place=f"row {lines[rows.start + int(wrong[0])]}, column theta",
             seen=f"{math.degrees(angles[wrong[0]]):g} deg, not {math.degrees(theta[wrong[0]]):g} deg",

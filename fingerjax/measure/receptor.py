@@ -25,9 +25,9 @@ Scalar = Float[Array, "*b"]
 class Receptor(eqx.Module):
     """State of the tissue at one receptor, or at many along leading axes."""
 
-    strain: Float[Array, "*b 6"]
-    youngs_modulus: Float[Array, "..."]
-    poisson_ratio: Float[Array, "..."]
+    strain: Float[Array, "*b 6"] = eqx.field(converter=jnp.asarray)
+    youngs_modulus: Float[Array, "..."] = eqx.field(converter=jnp.asarray)
+    poisson_ratio: Float[Array, "..."] = eqx.field(converter=jnp.asarray)
 
     @property
     def stress(self) -> Float[Array, "*b 6"]:

@@ -29,7 +29,7 @@ def _shells(rays: Rays, feet: np.ndarray) -> np.ndarray:
 
 
 def _quality(shells: np.ndarray, triangles: np.ndarray, turning: bool = False) -> np.ndarray:
-    """Quality on both shells; with `turning`, -1 where a triangle's normal on the skin looks towards the bone."""
+    """Quality on both shells; with `turning`, -1 where a triangle looks towards the bone."""
     quality = triangle_quality(shells[0][triangles]) * triangle_quality(shells[1][triangles])
     if turning:
         a, b, c = (shells[0][triangles[:, i]] for i in range(3))

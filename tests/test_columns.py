@@ -1,0 +1,243 @@
+"""The column mesh: volumes, conformity, labels and orientation on a preset and on the practice sections."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fingerjax.errors import InputError
+from fingerjax.finger import Finger
+from fingerjax.geometry.presets import preset
+from fingerjax.geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
+from fingerjax.layers import BONE, LAYERS
+from fingerjax.mesh import Resolution, build_finger
+from fingerjax.mesh.bodies import block, sphere_shell
+from fingerjax.mesh.columns import Rays, columns
+from fingerjax.mesh.jacobian import POINTS, WEIGHTS, determinants, relaxed, volumes
+from fingerjax.mesh.quality import dihedral_angles, figures, radius_ratios, table
+from fingerjax.mesh.topology import boundary, faces, prism_tets, quadratic, signed_volumes
+
+DATA = Path(os.environ.get("FINGERJAX_DATA", Path(__file__).parents[2] / "shared" / "data"))
+COARSE = Resolution(pad=0.8)
+
+
+@cache
+def monkey() -> tuple[LayeredSolid, Finger]:
+    solid = preset("monkey")
+    return solid, build_finger(solid, COARSE)
+
+
+def check(solid: LayeredSolid, finger: Finger) -> None:
+    """What every mesh of a layered solid must be."""
+    corners = finger.tets[:, :4]
+    assert signed_volumes(finger.nodes, corners).min() > 0
+    assert determinants(finger.nodes, finger.tets).min() > 0
+    _, _, shared = faces(corners)
+    assert set(np.unique(shared)) == {1, 2}
+    size = volumes(finger.nodes, finger.tets)
+    for layer, name in enumerate(LAYERS):
+        bar = 0.03 if layer == BONE else 0.02
+        assert size[finger.layer == layer].sum() == pytest.approx(solid.volume(layer), rel=bar), name
+    check_surfaces(solid, finger)
+
+
+def check_surfaces(solid: LayeredSolid, finger: Finger) -> None:
+    skin = np.unique(finger.skin)
+    assert np.abs(solid.level(0, finger.nodes[skin])).max() < 1e-6
+    a, b, c = (finger.nodes[finger.skin[:, i]] for i in range(3))
+    outwards = (a + b + c) / 3.0
+    outwards[:, :2] -= solid.centre(outwards[:, 2])
+    outwards[:, 2] -= 0.7 * outwards[:, 2]
+    assert (np.einsum("fi,fi->f", np.cross(b - a, c - a), outwards) > 0).all()
+    cut = boundary(finger.tets[:, :4])
+    cut = cut[finger.proximal[cut].all(axis=1)]
+    assert len(cut) + len(finger.skin) == len(boundary(finger.tets[:, :4]))
+    assert np.abs(finger.nodes[finger.proximal, 2]).max() == 0.0
+    nail = finger.nodes[finger.nail]
+    assert len(nail) > 5 and np.isin(np.flatnonzero(finger.nail), skin).all()
+    assert solid.nail.covers(nail[:, 2], solid.angle(nail)).all()
+
+
+def test_a_preset_meshes_within_the_bars() -> None:
+    check(*monkey())
+
+
+def test_interfaces_lie_on_the_solids_own() -> None:
+    """Nodes between two layers, midsides too, are on the outer surface of the inner one."""
+    solid, finger = monkey()
+    of = [np.unique(finger.tets[finger.layer == layer]) for layer in range(len(LAYERS))]
+    for layer in range(1, len(LAYERS)):
+        between = np.intersect1d(of[layer - 1], of[layer])
+        assert np.abs(solid.level(layer, finger.nodes[between])).max() < 1e-6
+    np.testing.assert_array_equal(np.flatnonzero(finger.bone), of[BONE])
+
+
+def test_elements_lie_in_their_layers() -> None:
+    """Ten-node centroids; a straight one may fall through a curved interface."""
+    solid, finger = monkey()
+    weight = np.r_[np.full(4, -0.125), np.full(6, 0.25)]
+    centroid = np.einsum("a,eai->ei", weight, finger.nodes[finger.tets])
+    assert np.mean(solid.layer_of(centroid) == finger.layer) > 0.995
+
+
+def test_the_pad_is_as_fine_as_asked() -> None:
+    solid, finger = monkey()
+    corners = finger.nodes[finger.skin[:, :3]]
+    middle = corners.mean(axis=1)
+    pad = (np.abs(middle[:, 2] - solid.pad_centre) < 1.5) & (np.abs(middle[:, 0]) < 1.5) & (middle[:, 1] < 0)
+    edge = np.linalg.norm(corners[pad] - corners[pad][:, [1, 2, 0]], axis=-1)
+    assert 0.7 < np.median(edge) / (2 * COARSE.pad) < 1.3
+
+
+def test_without_bone_keeps_its_surface_and_nothing_loose() -> None:
+    solid, finger = monkey()
+    soft = finger.without_bone()
+    assert set(np.unique(soft.layer)) == {0, 1, 2, 3}
+    np.testing.assert_array_equal(np.unique(soft.tets), np.arange(len(soft.nodes)))
+    assert np.abs(solid.level(BONE, soft.nodes[soft.bone])).max() < 1e-6
+    np.testing.assert_allclose(soft.nodes[soft.skin], finger.nodes[finger.skin])
+    assert soft.nail.sum() == finger.nail.sum()
+    assert block().without_bone() is not None and len(block().without_bone().tets) == len(block().tets)
+
+
+def test_quality_is_said_in_numbers_and_in_text() -> None:
+    _, finger = monkey()
+    quality = finger.quality
+    assert quality["min_dihedral_deg"] > 1.0
+    assert quality["nodes"] == len(finger.nodes) and quality["tets"] == len(finger.tets)
+    assert max(abs(error) for error in quality["volume_error"].values()) < 0.02
+    text = table(quality)
+    assert "min_dihedral_deg" in text and "volume_error bone" in text
+
+
+@pytest.mark.parametrize("case", ["plain", "nail_bed", "stiffening"])
+def test_practice_sections_load_and_mesh(case: str) -> None:
+    path = DATA / "practice" / case / "sections.csv"
+    if not path.exists():
+        pytest.skip(f"no practice data at {path}; set FINGERJAX_DATA")
+    sections = Sections.from_csv(path)
+    span = sections.z[-1]
+    nail = Patch(z=(0.42 * span, 0.88 * span), theta=(math.radians(50), math.radians(130)))
+    solid = solid_from_sections(sections, nail, case)
+    check(solid, build_finger(solid, Resolution(pad=1.2 if case == "nail_bed" else 0.8)))
+
+
+def skin(solid: LayeredSolid, rings: int = 12, turns: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """A structured skin, so that columns are tested without the mesher of surfaces."""
+    from fingerjax.mesh.surface import _grid_triangles
+
+    z = solid.length * (1.0 - np.linspace(1.0, 0.0, rings) ** 1.5)[:-1]
+    points = solid.surface(z[:, None], 2 * np.pi * np.arange(turns)[None, :] / turns).reshape(-1, 3)
+    tip = np.array([*solid.centre(np.array([solid.length]))[0], solid.length])
+    triangles = _grid_triangles(len(z), turns)
+    triangles = triangles[~(triangles == len(points)).any(axis=1)]
+    return np.vstack([points, tip]), np.where(triangles == len(points) + 1, len(points), triangles)
+
+
+def test_a_layer_of_no_thickness_is_given_the_least_and_counted() -> None:
+    solid = preset("monkey")
+    radii = solid.sections.radii.copy()
+    radii[:, :, 2] = radii[:, :, 1]  # no dermis
+    flat = dataclasses.replace(solid, sections=dataclasses.replace(solid.sections, radii=radii))
+    mesh = columns(flat, *skin(flat), thinnest=0.05)
+    assert mesh.notes["thickened"] > 0
+    assert signed_volumes(mesh.vertices, mesh.tets).min() > 0
+    met, _ = mesh.rays.depths(mesh.feet[mesh.t == 0])
+    length = np.linalg.norm(mesh.rays.axis(mesh.rays.aim(mesh.feet[mesh.t == 0][:, 2])) - mesh.feet[mesh.t == 0], axis=1)
+    assert ((met[:, 2] - met[:, 1]) * length).min() == pytest.approx(0.05)
+
+
+def test_a_finger_without_bone_at_its_cut_is_refused() -> None:
+    solid = preset("monkey")
+    radii = solid.sections.radii.copy()
+    radii[:5, :, 4] = 0.0
+    hollow = dataclasses.replace(solid, sections=dataclasses.replace(solid.sections, radii=radii))
+    with pytest.raises(InputError, match="bone does not reach the proximal cut"):
+        columns(hollow, *skin(hollow))
+
+
+def test_reference_depths_are_interfaces_and_the_cut_stays_flat() -> None:
+    solid = preset("human")
+    rays = Rays(solid)
+    feet = rays.foot(solid.surface(np.array([0.0, 5.0, 13.0, 22.0]), np.array([1.0, 3.0, 4.7, 6.0])))
+    for layer in range(1, BONE + 1):
+        assert np.abs(solid.level(layer, rays.position(feet, np.full(4, float(layer))))).max() < 1e-9
+    half = rays.position(feet, np.full(4, 1.5))
+    ends = rays.position(feet, np.full(4, 1.0)), rays.position(feet, np.full(4, 2.0))
+    np.testing.assert_allclose(half, 0.5 * (ends[0] + ends[1]), atol=1e-12)
+    assert half[0, 2] == 0.0
+
+
+def test_quadrature_is_exact_to_degree_five() -> None:
+    for power in np.ndindex(6, 6, 6, 6):
+        if sum(power) <= 5:
+            true = 6 * math.prod(math.factorial(p) for p in power) / math.factorial(sum(power) + 3)
+            assert WEIGHTS @ np.prod(POINTS ** np.array(power), axis=1) == pytest.approx(true, abs=1e-15)
+
+
+def test_shapes_of_known_tetrahedra() -> None:
+    regular = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    both, tets = np.vstack([regular, corner]), np.array([[0, 1, 2, 3], [4, 5, 6, 7]])
+    np.testing.assert_allclose(dihedral_angles(both, tets)[0], math.degrees(math.acos(1 / 3)))
+    assert sorted(np.round(dihedral_angles(both, tets)[1])) == [55, 55, 55, 90, 90, 90]
+    inscribed = 0.5 / (1.5 + math.sqrt(3) / 2)
+    np.testing.assert_allclose(radius_ratios(both, tets), [1.0, 3 * inscribed / (math.sqrt(3) / 2)])
+
+
+def test_a_midside_that_folds_its_element_is_pulled_straight() -> None:
+    nodes, tets, _ = quadratic(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 1, 2, 3]]))
+    folded = nodes.copy()
+    folded[tets[0, 4]] = [0.5, 0.6, 0.6]
+    assert determinants(folded, tets).min() < 0
+    mended, count = relaxed(folded, tets, 4)
+    assert count == 6 and determinants(mended, tets).min() > 0
+    untouched, count = relaxed(nodes, tets, 4)
+    assert count == 0 and (untouched == nodes).all()
+
+
+def test_prisms_of_any_ranking_conform() -> None:
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    vertices = np.vstack([points, points + [0, 0, 1]])
+    for seed in range(5):
+        rank = np.random.default_rng(seed).permutation(5)
+        tets = prism_tets(triangles, triangles + 5, rank=rank[triangles])
+        assert np.abs(signed_volumes(vertices, tets)).sum() == pytest.approx(2.0)
+        assert len(boundary(tets)) == 2 * 4 + 2 * 4
+
+
+def test_bodies_have_their_volume_surface_and_supports() -> None:
+    body = block((4.0, 2.0, 3.0), (4, 3, 4), grading=1.5, interfaces=(0.3,))
+    assert volumes(body.nodes, body.tets).sum() == pytest.approx(24.0)
+    assert determinants(body.nodes, body.tets).min() > 0
+    assert set(np.unique(body.layer)) == {0, 1}
+    corner = body.nodes[body.skin[:, :3]]
+    normal = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    np.testing.assert_allclose(normal.sum(axis=0), [0.0, -12.0, 0.0], atol=1e-12)
+    assert (normal[:, 1] < 0).all() and (body.nodes[body.skin][:, :, 1] == 0.0).all()
+    np.testing.assert_allclose(body.nodes[body.skin[:, 3]], corner[:, :2].mean(axis=1))
+    assert (body.nodes[body.bone, 1] == 2.0).all() and (body.nodes[body.proximal, 2] == 0.0).all()
+    ball = sphere_shell(1.0, 2.0, n=2, shells=3)
+    assert volumes(ball.nodes, ball.tets).sum() == pytest.approx(28.0 / 3.0 * np.pi, rel=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(ball.nodes[ball.skin], axis=-1), 2.0)
+    np.testing.assert_allclose(np.linalg.norm(ball.nodes[ball.bone], axis=-1), 1.0)
+
+
+def test_a_wrong_finger_is_refused() -> None:
+    body = block()
+    with pytest.raises(ValueError, match="layer has shape"):
+        dataclasses.replace(body, layer=body.layer[:-1])
+    with pytest.raises(ValueError, match="float64"):
+        dataclasses.replace(body, nodes=body.nodes.astype(np.float32))
+
+
+def test_figures_need_no_solid() -> None:
+    body = block((1.0, 1.0, 1.0), (2, 2, 2))
+    assert "volume_error" not in figures(body.nodes, body.tets, body.layer)
