@@ -166,7 +166,7 @@ def _line_focus(line: Line, solid: LayeredSolid, x: float, z: float, travel: flo
         points = solid.surface(np.full(721, z), np.linspace(np.pi, 2 * np.pi, 721))
         height, s = points[:, 1], points[:, 0] - x
     reached = np.abs(s[height < height.min() + travel])
-    return Focus("line", z, _theta(solid, x, z), LINE_SPACING, float(reached.max()), line.along)
+    return Focus("line", z, _theta(solid, x, z), LINE_SPACING, float(reached.max()), line.along, growth=1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,25 +176,72 @@ class Laid:
     rigs: tuple[Rig, ...]
     columns: sp.csc_matrix
     receptor_layer: dict[int, int]
-    pad: Pad
 
 
 def lay(planned: list[Plan], finger: Finger, body: Body, solid: LayeredSolid) -> Laid:
-    """Choose the pad that can be touched, and number everything that is read from the body."""
+    """Choose the skin that can be touched, and number everything that is pressed or read.
+
+    Under one pose the columns are the pressures themselves, a quarter as many as the nodes that they press on; an indenter that is
+    swept over the skin is given all the nodes that it can reach, so that every pose is a product with the same matrix.
+    """
     limit = LARGEST_STRAIN_SHARE * float(np.ptp(finger.nodes[:, 1]))
-    indentations = {id(plan): _indentations(plan, limit) for plan in planned}
-    pad = pad_for(finger, [one for each in indentations.values() for one in each])
-    matrices = [functionals(pad, len(finger.nodes))]
+    wanted = [_indentations(plan, limit) for plan in planned]
+    pad = pad_for(finger, [one for each in wanted for one in each])
+    swept = any(len(plan.origins) > 1 for plan in planned)
+    matrices = [functionals(pad, len(finger.nodes))] if swept else []
     rigs, layers = [], {}
-    for plan in planned:
-        offset = sum(matrix.shape[1] for matrix in matrices)
-        matrix, reading, layer = _readings(plan, finger, body, solid)
-        if matrix is not None:
-            matrices.append(matrix)
+    for plan, indentations in zip(planned, wanted, strict=True):
+        observed, reading, layer = _readings(plan, finger, body, solid)
+        reading = reading + _append(matrices, observed)
         if layer is not None:
             layers[plan.index] = layer
-        rigs.append(_rig(plan, pad, indentations[id(plan)], reading + offset))
-    return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers, pad)
+        cut = windows(pad, indentations)
+        geometry = _interfaces(plan.indenter, cut, jnp.asarray(plan.origins))
+        columns = cut.columns
+        if len(plan.origins) == 1:
+            pressed, geometry = _pressures(cut, geometry, len(finger.nodes))
+            columns = jnp.arange(pressed.shape[1])[None] + _append(matrices, pressed)
+        rigs.append(_rig(plan, columns, geometry, reading))
+    return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers)
+
+
+def _append(matrices: list[sp.csc_matrix], more: sp.csc_matrix | None) -> int:
+    """Add columns to the list, and say where they begin."""
+    begin = sum(matrix.shape[1] for matrix in matrices)
+    if more is not None:
+        matrices.append(more)
+    return begin
+
+
+@eqx.filter_jit
+def _interfaces(indenter: AbstractIndenter, cut: Pad, origins: Float[Array, "poses 2"]) -> Interface:
+    return jax.vmap(lambda one, at: interface(one, indenter, (at[0], at[1])))(cut, origins)
+
+
+def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix, Interface]:
+    """The hats of a single pose as columns (3n, k), and the interface that presses on them instead of on nodes."""
+    kept = np.flatnonzero(np.asarray(geometry.area[0]) > 0)
+    load = sp.coo_matrix(np.asarray(geometry.load[0])[:, kept])
+    rows = 3 * np.asarray(cut.nodes[0])[load.row] + 1
+    matrix = sp.csc_matrix((load.data, (rows, load.col)), shape=(3 * nodes, len(kept)))
+    return matrix, _only(geometry, kept)
+
+
+def _only(geometry: Interface, kept: np.ndarray) -> Interface:
+    """An interface without the hats that lie off the indenter; `pieces` that touch one of those lose their area."""
+    number = np.full(geometry.area.shape[1], -1)
+    number[kept] = np.arange(len(kept))
+    pieces = number[np.asarray(geometry.pieces[0])]
+    whole = np.all(pieces >= 0, axis=1)
+    return Interface(
+        load=jnp.eye(len(kept))[None],
+        overlap=geometry.overlap[:, kept],
+        area=geometry.area[:, kept],
+        rim=geometry.rim[:, kept],
+        lowest=geometry.lowest,
+        pieces=jnp.asarray(pieces[whole])[None],
+        covered=geometry.covered[:, whole],
+    )
 
 
 def _indentations(plan: Plan, limit: float) -> list[Indentation]:
@@ -226,14 +273,11 @@ def receptor_point(solid: LayeredSolid, receptor: Receptor) -> np.ndarray:
     return np.array([x, y, receptor.z])
 
 
-def _rig(plan: Plan, pad: Pad, indentations: list[Indentation], reading: np.ndarray) -> Rig:
-    cut = windows(pad, indentations)
-    origin = jnp.asarray(plan.origins)
-    geometry = eqx.filter_jit(lambda indenter, cut, origin: jax.vmap(lambda one, at: interface(one, indenter, (at[0], at[1])))(cut, origin))
+def _rig(plan: Plan, columns: Int[Array, "poses p"], geometry: Interface, reading: np.ndarray) -> Rig:
     return Rig(
         indenter=plan.indenter,
-        columns=cut.columns,
-        interface=geometry(plan.indenter, cut, origin),
+        columns=columns,
+        interface=geometry,
         pose=jnp.asarray(plan.pose),
         imposed=jnp.asarray(plan.imposed),
         variant=jnp.asarray(plan.variant),

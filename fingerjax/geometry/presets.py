@@ -89,7 +89,8 @@ HUMAN = Dimensions(
     bone_width=(7.6, 3.9, 5.1),
     bone_height=(4.5, 3.2, 2.8),
 )
-MONKEY = HUMAN.scaled("monkey", width=9.0, height=0.86 * 9.0, length=16.5)
+# "Monkey fingertips are more ellipsoidal whereas the human fingertips are more cylindrical" (Dandekar et al., section 4.1).
+MONKEY = dataclasses.replace(HUMAN.scaled("monkey", width=9.0, height=0.86 * 9.0, length=16.5), slimming=(0.20, 0.35))
 PRESETS = {"monkey": MONKEY, "human": HUMAN}
 
 

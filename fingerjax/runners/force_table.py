@@ -32,27 +32,37 @@ def force_table(study: Study, context: Context) -> StudyResult:
     """Re-identify a table of forces row by row on this mesh, beside the published moduli."""
     table = study.options
     assert isinstance(table, ForceTable)
-    context.tell(0.02, "meshing")
-    assembled = assemble(dataclasses.replace(study, measurements=_measurements(table)))
-    context.tell(0.5, "pressing")
-    prediction = assembled.predict()
-    why = complaint(prediction)
+    assembled, forces, why = _pressed_all(study, table, context)
     title, verdict = study.notes.split(". ")[0] or "Moduli from forces", f"Not converged: {why.value} No modulus is reported."
     begun = StudyResult(study.name, title, verdict, RESULTS.not_converged, warnings=[why.value], notes=[study.notes])
-    begun = dataclasses.replace(begun, meshes={assembled.solid.name: mesh_record(assembled.finger)})
+    begun = dataclasses.replace(begun, meshes={f"{one.solid.name}, {name}": mesh_record(one.finger) for name, one in assembled.items()})
     if why is not RESULTS.successful:
         return begun
-    forces = {one.name: np.asarray(reading) for one, reading in zip(assembled.study.measurements, prediction.readings, strict=True)}
-    return _result(begun, table, forces, assembled)
+    modulus = next(iter(assembled.values())).model.wired.fixed["epidermis.modulus"]
+    return _result(begun, table, forces, modulus)
 
 
-def _measurements(table: ForceTable) -> tuple[Measurement, ...]:
-    """The indentations of the table, and those of every radius that is tried at the travel of the first row of its indenter."""
-    found = [_pressed(name, spec, [row for row in table.rows if row.indenter == name]) for name, spec in table.indenters.items()]
-    for name, radii in table.radii.items():
-        first = next(row for row in table.rows if row.indenter == name)
-        found += [_pressed(_tip(name, radius), _with_radius(table.indenters[name], radius), [first]) for radius in radii]
-    return tuple(one for one in found if len(one))
+def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dict[str, Assembled], dict[str, np.ndarray], RESULTS]:
+    """Each indenter on a mesh of its own, fine where that one needs it: the meshes, the forces, and how it ended."""
+    assembled, forces = {}, {}
+    for number, name in enumerate(table.indenters):
+        context.tell(0.02 + 0.96 * number / len(table.indenters), name)
+        assembled[name] = assemble(dataclasses.replace(study, measurements=measurements_of(table, name)))
+        prediction = assembled[name].predict()
+        why = complaint(prediction)
+        if why is not RESULTS.successful:
+            return assembled, forces, why
+        readings = zip(assembled[name].study.measurements, prediction.readings, strict=True)
+        forces |= {one.name: np.asarray(reading) for one, reading in readings}
+    return assembled, forces, RESULTS.successful
+
+
+def measurements_of(table: ForceTable, name: str) -> tuple[Measurement, ...]:
+    """The indentations of one indenter, and those of every radius that is tried, at the travel of its first row."""
+    rows = [row for row in table.rows if row.indenter == name]
+    radii = table.radii.get(name, ()) if rows else ()
+    tips = [_pressed(_tip(name, radius), _with_radius(table.indenters[name], radius), rows[:1]) for radius in radii]
+    return tuple(one for one in (_pressed(name, table.indenters[name], rows), *tips) if len(one))
 
 
 def _pressed(name: str, spec: IndenterSpec, rows: list[TableRow]) -> Measurement:
@@ -69,8 +79,7 @@ def _with_radius(spec: IndenterSpec, radius: float) -> IndenterSpec:
     return dataclasses.replace(spec, dimensions={**spec.dimensions, "radius": radius, "edge_radius": share * radius})
 
 
-def _result(begun: StudyResult, table: ForceTable, forces: dict[str, np.ndarray], assembled: Assembled) -> StudyResult:
-    modulus = assembled.model.wired.fixed["epidermis.modulus"]
+def _result(begun: StudyResult, table: ForceTable, forces: dict[str, np.ndarray], modulus: float) -> StudyResult:
     ours, labels, slopes = [], [], []
     for name in table.indenters:
         rows = [row for row in table.rows if row.indenter == name]
