@@ -149,7 +149,9 @@ def test_a_layer_of_no_thickness_is_given_the_least_and_counted() -> None:
     assert mesh.notes["thickened"] > 0
     assert signed_volumes(mesh.vertices, mesh.tets).min() > 0
     met, _ = mesh.rays.depths(mesh.feet[mesh.t == 0])
-    length = np.linalg.norm(mesh.rays.axis(mesh.rays.aim(mesh.feet[mesh.t == 0][:, 2])) - mesh.feet[mesh.t == 0], axis=1)
+    length = np.linalg.norm(
+        mesh.rays.axis(mesh.rays.aim(mesh.feet[mesh.t == 0][:, 2])) - mesh.feet[mesh.t == 0], axis=1
+    )
     assert ((met[:, 2] - met[:, 1]) * length).min() == pytest.approx(0.05)
 
 
@@ -192,7 +194,9 @@ def test_shapes_of_known_tetrahedra() -> None:
 
 
 def test_a_midside_that_folds_its_element_is_pulled_straight() -> None:
-    nodes, tets, _ = quadratic(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 1, 2, 3]]))
+    nodes, tets, _ = quadratic(
+        np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 1, 2, 3]])
+    )
     folded = nodes.copy()
     folded[tets[0, 4]] = [0.5, 0.6, 0.6]
     assert determinants(folded, tets).min() < 0
