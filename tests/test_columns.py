@@ -109,7 +109,7 @@ def test_without_bone_keeps_its_surface_and_nothing_loose() -> None:
 def test_quality_is_said_in_numbers_and_in_text() -> None:
     _, finger = monkey()
     quality = finger.quality
-    # Thin skin, coarsely meshed: an angle is a thickness over an edge, 0.17 mm over up to 4.8 mm on the dorsum.
+    # Thin skin, coarse mesh: an angle is a thickness over an edge, 0.17 mm over up to 4.8 mm on the dorsum.
     assert quality["min_dihedral_deg"] > 0.1 and quality["p1_dihedral_deg"] > 1.2
     assert quality["nodes"] == len(finger.nodes) and quality["tets"] == len(finger.tets)
     assert max(abs(error) for error in quality["volume_error"].values()) < 0.02
