@@ -43,7 +43,10 @@ def test_layers_nest_and_end_one_inside_the_other(name: str) -> None:
 def test_the_pad_is_fuller_than_the_dorsum_and_the_bone_nearer_to_the_nail(name: str) -> None:
     solid = preset(name)
     z = np.array([solid.pad_centre])
-    top, bottom = solid.radius(0, z, np.array([0.5 * np.pi]))[0], solid.radius(0, z, np.array([1.5 * np.pi]))[0]
+    top, bottom = (
+        solid.radius(0, z, np.array([0.5 * np.pi]))[0],
+        solid.radius(0, z, np.array([1.5 * np.pi]))[0],
+    )
     assert bottom > 1.5 * top
     ring = solid.surface(np.full(720, z[0]), np.linspace(0, 2 * np.pi, 720))
     assert ring[np.argmax(ring[:, 0]), 1] < 0.0

@@ -1,4 +1,4 @@
-"""Sections: what is refused and how it is said; the solid through them against shapes of known radius and volume."""
+"""Sections: what is refused and how it is said; the solid through them against known radii and volumes."""
 
 from __future__ import annotations
 
@@ -68,6 +68,10 @@ def edited(row: int, column: int, value: str) -> list[str]:
     return text
 
 
+def without_angle(degrees: str) -> list[str]:
+    return [row for row in lines(ellipsoid(6, 12)) if row.split(",")[1:2] != [degrees]]
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -82,7 +86,7 @@ def edited(row: int, column: int, value: str) -> list[str]:
         ([HEADER.replace("r_bone_mm", "r_bone"), "0,0,0,0,1,1,1,1,1"], ["r_bone_mm"]),
         ([HEADER.replace("z_mm", "z_kg"), "0,0,0,0,1,1,1,1,1"], ["z_mm"]),
         (lines(ellipsoid(6, 12))[:-1], ["does not close", "11 angles, not 12"]),
-        ([row for row in lines(ellipsoid(6, 12)) if not row.split(",")[1:2] == ["90.000000"]], ["a gap of 60 deg", "missing"]),
+        (without_angle("90.000000"), ["a gap of 60 deg", "missing"]),
         (lines(ellipsoid(6, 12))[:2] + lines(ellipsoid(6, 12))[14:], ["proximal cut"]),
         (lines(ellipsoid(6, 12))[:-24], ["cut open at the tip", "r_dermis"]),
     ],

@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -40,12 +39,12 @@ class Focus:
     - `growth`: how fast edges may grow with distance from the focus, along the skin and in depth, mm per mm.
     """
 
-    kind: Literal["point", "line"]
+    kind: str
     z: float
     theta: float = 1.5 * math.pi
     size: float = 0.1
     extent: float | None = None
-    along: Literal["x", "z"] = "x"
+    along: str = "x"
     growth: float = 0.6
 
     def __post_init__(self) -> None:

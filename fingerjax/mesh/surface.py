@@ -30,8 +30,8 @@ class Resolution:
     - `pad`: on the pad.
     - `proximal`: the coarsest, far from the pad; 3 times the pad's when None.
 
-    The defaults give about 8,500 nodes for the preset monkey, as in the paper's coarser mesh; its human takes
-    `pad=0.8`.
+    The defaults give about 8,500 nodes for the preset monkey, as in the paper's coarser mesh, and
+    `Resolution(0.17, 1.0)` about 29,000, as in its finer one; for the human `pad=0.9` gives about 8,500.
     """
 
     pad: float = 0.5
