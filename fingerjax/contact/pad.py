@@ -15,16 +15,19 @@ leaves a 5 % ripple in the pressure that refinement does not remove; vertex hats
 
 | edges per radius | Hertz force | Hertz peak pressure | Hertz area | punch force |
 |---|---|---|---|---|
-| vertex hats, 1 | -10 | +88 | -30 | +7 |
-| vertex hats, 2 | -0.9 | +19 | 2.2 | +2.3 |
-| vertex hats, 3 | -0.7 | +2.1 | 1.4 | +1.4 |
-| vertex hats, 4 | -0.1 | +2.4 | 1 | +0.9 |
-| vertex hats, 6 | -0.1 | +0.9 | 1 | +0.6 |
+| vertex hats, 1 | -10 | +88 | -25 | +7.0 |
+| vertex hats, 2 | -0.9 | +19 | -2.3 | +2.3 |
+| vertex hats, 3 | -0.7 | +2.1 | -1.4 | +1.4 |
+| vertex hats, 4 | -0.1 | +2.4 | +0.4 | +0.9 |
+| vertex hats, 6 | -0.1 | +0.9 | +0.4 | +0.6 |
 | node hats, 2 | -0.1 | +10 | | +5.4 |
 | node hats, 4 | -0.1 | +5.3 | | +2.8 |
 | node hats, 6 | -0.1 | +5.1 | | +1.9 |
 
-An edge is half the node count: two facet edges per contact radius are four node spacings.
+An edge is two node spacings. Vertex rows: a sphere of R = 20 a; node rows: R = 4 a, their force less the 0.6
+% by which such a sphere falls short of Hertz's paraboloid. A line's force is only as good as the nodes
+beneath its tip: with the tip 0.05 mm wide, a line at two places on the mesh gave forces 19 % apart at a node
+spacing of 0.125 mm and 9 % at 0.0625 mm.
 """
 
 from __future__ import annotations
@@ -46,6 +49,9 @@ from fingerjax.errors import InputError
 
 STEEPEST_SKIN = 0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways
 SLIVER = 0.02  # a hat with less than this share of its own area under the indenter carries no pressure
+# Hats along a line stand this many node spacings apart: at 1 the pressure ripples by 14 % (condition number
+# 3000), at 1.5 by 1 % (20), and the force is the same to 0.6 %.
+LINE_SPACING = 1.5
 FAR = 1e3  # mm
 
 
@@ -472,9 +478,9 @@ _GAUSS_ALONG, _GAUSS_ACROSS = np.polynomial.legendre.leggauss(4), np.polynomial.
 
 
 def _line_stations(pad: Pad, line: Line, origin: Any) -> _Stations:
-    """Points on the tip: hats as far apart as the pad's nodes, four Gauss points between, three across."""
+    """Points on the tip: hats a little coarser than nodes, four Gauss points between, three across."""
     low, high = pad.box[:2] if line.along == "x" else pad.box[2:]
-    pieces = max(int(np.ceil((high - low) / pad.spacing)), 1)
+    pieces = max(int(np.ceil((high - low) / (LINE_SPACING * pad.spacing))), 1)
     step = (high - low) / pieces
     t, wt = (_GAUSS_ALONG[0] + 1) / 2, _GAUSS_ALONG[1] / 2
     piece = np.repeat(np.arange(pieces), 12)
