@@ -35,7 +35,7 @@ def compliance(body: Body, solver: AbstractSolver, material: Material, columns: 
 
 
 def _influence(lame: Lame, body: Body, solver: AbstractSolver, columns: Columns) -> Solution:
-    return solver.solve(body, jax.lax.stop_gradient(lame), body.free[:, None] * columns.loads())
+    return solver.influence(body, jax.lax.stop_gradient(lame), columns)
 
 
 def _reduced(columns: Columns, solution: Solution) -> tuple[Array, Array, Array, Array]:

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from .assembly import Assembled
 from .body import Body
+from .columns import Columns
 from .krylov import Field, Solution, conjugate_gradients
 from .multigrid import Hierarchy, hierarchy, preconditioner
 from .operator import Lame, apply
@@ -35,6 +36,10 @@ class AbstractSolver(eqx.Module):
     @abc.abstractmethod
     def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
         """Solve for every load; forces on supports are ignored."""
+
+    def influence(self, body: Body, lame: Lame, columns: Columns) -> Solution:
+        """The displacements `K^-1 B` under the unit loads of all columns."""
+        return self.solve(body, lame, body.free[:, None] * columns.loads())
 
 
 class MultigridCG(AbstractSolver):
@@ -99,9 +104,37 @@ class Factorised(AbstractSolver):
     tolerance: float = eqx.field(static=True, default=1e-9)
 
     def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+        # Known numbers are solved for at once. A callback from compiled code is for traced ones only: compiled programs that hold one
+        # are not kept between runs, and large arrays handed to one can wait for ever on a machine of two cores.
+        if not isinstance(lame, jax.core.Tracer) and not isinstance(loads, jax.core.Tracer):
+            u, residual = map(jnp.asarray, self.host.solve(np.asarray(lame), np.asarray(loads)))
+            return Solution(u, jnp.ones_like(residual, dtype=int), residual, residual <= 10 * self.tolerance)
         shapes = jax.ShapeDtypeStruct(loads.shape, loads.dtype), jax.ShapeDtypeStruct(loads.shape[:1], loads.dtype)
         u, residual = jax.pure_callback(self.host.solve, shapes, lame, loads, vmap_method="sequential")
         return Solution(u, jnp.ones_like(residual, dtype=int), residual, residual <= 10 * self.tolerance)
+
+
+class Known(AbstractSolver):
+    """Displacements under the columns that were found before, with the same moduli: what compiled code differentiates about."""
+
+    solution: Solution
+
+    def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+        raise ValueError("these displacements are known under the model's own columns only; ask another solver for other loads")
+
+    def influence(self, body: Body, lame: Lame, columns: Columns) -> Solution:
+        return self.solution
+
+
+@eqx.filter_jit
+def _influence(solver: AbstractSolver, body: Body, lame: Lame, columns: Columns) -> Solution:
+    return solver.influence(body, lame, columns)
+
+
+def known(solver: AbstractSolver, body: Body, lame: Lame, columns: Columns) -> Known:
+    """Solve under all columns now, outside of the code that is differentiated."""
+    solve = solver.influence if isinstance(solver, Factorised) else lambda *rest: _influence(solver, *rest)
+    return Known(solve(body, lame, columns))
 
 
 def direct_available() -> bool:

@@ -17,10 +17,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.indentation import Contact, press
 from ..errors import InputError
-from ..fem.body import Body, body
+from ..fem.body import Body, Material, body
 from ..fem.columns import Columns, columns_from_matrix
 from ..fem.compliance import Compliance, compliance
-from ..fem.solver import AbstractSolver, solver_for
+from ..fem.solver import AbstractSolver, Known, known, solver_for
 from ..finger import Finger
 from ..geometry.presets import preset
 from ..geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
@@ -70,11 +70,22 @@ class Model(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     lengths: tuple[int, ...] = eqx.field(static=True)
     receptor_layer: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    known: tuple[Known, ...] | None = None
+
+    def materials(self, values: Values) -> list[Material]:
+        """The tissue of each variant: of every subject, say, that has moduli of its own."""
+        return [self.wired.material(dict(labels), values) for labels in self.variants]
+
+    def solved(self, values: Values) -> Model:
+        """The same model with the linear solves at these values done: it holds there, and so do its derivatives."""
+        found = tuple(known(self.solver, self.body, tissue.lame(), self.columns) for tissue in self.materials(values))
+        return dataclasses.replace(self, known=found)
 
     def condensed(self, values: Values) -> list[Compliance]:
         """One compliance for each material that the rows need."""
-        materials = [self.wired.material(dict(labels), values) for labels in self.variants]
-        return [compliance(self.body, self.solver, material, self.columns) for material in materials]
+        solvers = self.known or (self.solver,) * len(self.variants)
+        pairs = zip(solvers, self.materials(values), strict=True)
+        return [compliance(self.body, solver, material, self.columns) for solver, material in pairs]
 
     def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
         """Every reading at these values; names that are missing keep the study's own.
@@ -110,7 +121,7 @@ class Model(eqx.Module):
             return observed[rig.case, rig.reading], jnp.zeros(rig.row.shape)
         strain = observed[rig.case[:, None], rig.reading[:, None] + jnp.arange(6)]
         layer = dict(self.receptor_layer)[rig.measurement]
-        tissues = [self.wired.material(dict(labels), values) for labels in self.variants]
+        tissues = self.materials(values)
         E = jnp.stack([tissue.youngs_modulus[layer] for tissue in tissues])[rig.variant[rig.case]]
         nu = jnp.stack([tissue.poisson_ratio[layer] for tissue in tissues])[rig.variant[rig.case]]
         felt = QUANTITIES[quantity](ReceptorState(strain, E, nu))
@@ -146,8 +157,15 @@ class Residuals(eqx.Module):
     priors: tuple[Prior, ...]
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
+    def values(self, raw: Float[Array, " p"]) -> dict[str, Float[Array, ""]]:
+        return {parameter.name: parameter.natural(raw[i]) for i, parameter in enumerate(self.parameters)}
+
+    def prepared(self, raw: Float[Array, " p"]) -> Residuals:
+        """The same residuals with the linear solves at `raw` done."""
+        return dataclasses.replace(self, model=self.model.solved(self.values(raw)))
+
     def __call__(self, raw: Float[Array, " p"]) -> tuple[Float[Array, " rows"], Health]:
-        values = {parameter.name: parameter.natural(raw[i]) for i, parameter in enumerate(self.parameters)}
+        values = self.values(raw)
         prediction = self.model.predict(values)
         rows = [(f - y) / s for f, y, s in zip(prediction.readings, self.data, self.sigma, strict=True)]
         known = [jnp.atleast_1d((values[prior.name] - prior.mean) / prior.sd) for prior in self.priors]
@@ -165,7 +183,8 @@ class Assembled:
 
     def predict(self, values: Values | None = None, quantity: str = "strain_energy_density") -> Prediction:
         """All readings at these values, compiled."""
-        return _predict(self.model, {name: jnp.asarray(float(value)) for name, value in (values or {}).items()}, quantity)
+        asked = {name: jnp.asarray(float(value)) for name, value in (values or {}).items()}
+        return _predict(self.model.solved(asked), asked, quantity)
 
     def problem(self) -> Problem:
         """The study's fit as least squares; afferents start from the best scale and threshold at the start moduli."""
@@ -183,7 +202,7 @@ class Assembled:
         blocks = {one.name: slice(int(a), int(b)) for one, a, b in zip(self.study.measurements, ends[:-1], ends[1:], strict=True)}
         if known:
             blocks["prior"] = slice(int(ends[-1]), int(ends[-1]) + len(known))
-        return Problem(parameters, residuals, blocks, {name: source for name, (_, source) in noise.items()})
+        return Problem(parameters, residuals, blocks, {name: source for name, (_, source) in noise.items()}, residuals.prepared)
 
     def _started(self) -> tuple[Parameter, ...]:
         rates = [(index, one) for index, one in enumerate(self.study.measurements) if one.kind == "spike_rate"]
