@@ -16,10 +16,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.indentation import Contact, press
+from ..contact.pad import Interface
 from ..errors import InputError
 from ..fem.body import Body, Material, body
 from ..fem.columns import Columns, columns_from_matrix
-from ..fem.compliance import Compliance, compliance
+from ..fem.compliance import Condensed, condense
 from ..fem.solver import AbstractSolver, Known, known, solver_for
 from ..finger import Finger
 from ..geometry.presets import preset
@@ -81,24 +82,19 @@ class Model(eqx.Module):
         found = tuple(known(self.solver, self.body, tissue.lame(), self.columns) for tissue in self.materials(values))
         return dataclasses.replace(self, known=found)
 
-    def condensed(self, values: Values) -> list[Compliance]:
-        """One compliance for each material that the rows need."""
-        solvers = self.known or (self.solver,) * len(self.variants)
-        pairs = zip(solvers, self.materials(values), strict=True)
-        return [compliance(self.body, solver, material, self.columns) for solver, material in pairs]
-
     def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
         """Every reading at these values; names that are missing keep the study's own.
 
         `quantity` names what the receptor is taken to feel, one of `measure.receptor.QUANTITIES`.
         """
-        bodies = self.condensed(values)
-        C = jnp.stack([each.matrix for each in bodies])
+        solvers = self.known or (self.solver,) * len(self.variants)
+        pairs = zip(solvers, self.materials(values), strict=True)
+        bodies = [condense(self.body, solver, tissue, self.columns) for solver, tissue in pairs]
         readings = [jnp.zeros(length) for length in self.lengths]
         felt = [jnp.zeros(length) for length in self.lengths]
         settled, inside = jnp.asarray(True), jnp.asarray(True)
         for rig in self.rigs:
-            contact, observed = pressed(rig, C)
+            contact, observed = pressed(rig, bodies)
             settled, inside = settled & contact.settled.all(), inside & ~contact.reached_edge.any()
             value, sensed = self._rows(rig, contact, observed, values, quantity)
             readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(value)
@@ -135,17 +131,36 @@ class Model(eqx.Module):
         return rate(felt, scale[which], threshold[which])
 
 
-def pressed(rig: Rig, C: Float[Array, "variants m m"]) -> tuple[Contact, Float[Array, "cases m"]]:
-    """Every indentation of a rig, and every column's reading under it."""
+def pressed(rig: Rig, bodies: list[Condensed]) -> tuple[Contact, Float[Array, "cases m"]]:
+    """Every indentation of a rig, and every column's reading under it.
 
-    def one(pose: Array, imposed: Array, variant: Array) -> tuple[Contact, Array]:
-        columns, matrix = rig.columns[pose], C[variant]
-        geometry = jax.tree.map(lambda leaf: leaf[pose], rig.interface)
-        between = matrix[columns[:, None], columns[None, :]]
-        contact = press(between, geometry, force=imposed) if rig.forced else press(between, geometry, travel=imposed)
-        return contact, matrix[:, columns] @ contact.nodal_forces
+    The contact is found with the compliance held. Then the nodal forces it ended with say which change of the compliance matters,
+    and one more solve on the same active set carries the derivatives: a product with the stiffness for each case, not for each column.
+    """
+    C = jnp.stack([each.matrix for each in bodies])
 
-    return jax.vmap(one)(rig.pose, rig.imposed, rig.variant)
+    def geometry(pose: Array) -> Interface:
+        return jax.tree.map(lambda leaf: leaf[pose], rig.interface)
+
+    def push(interface: Interface, between: Array, imposed: Array, start: Array | None) -> Contact:
+        way = {"force": imposed} if rig.forced else {"travel": imposed}
+        return press(between, interface, start=start, **way)
+
+    def settle(pose: Array, imposed: Array, variant: Array) -> tuple[Contact, Array]:
+        columns = rig.columns[pose]
+        contact = push(geometry(pose), C[variant][columns[:, None], columns[None, :]], imposed, None)
+        return contact, jnp.zeros(C.shape[1]).at[columns].add(contact.nodal_forces)
+
+    def carry(pose: Array, imposed: Array, variant: Array, active: Array, change: Array) -> tuple[Contact, Array]:
+        columns, interface = rig.columns[pose], geometry(pose)
+        shifted = eqx.tree_at(lambda one: one.overlap, interface, interface.overlap - interface.load.T @ change[columns])
+        contact = push(shifted, C[variant][columns[:, None], columns[None, :]], imposed, active)
+        return contact, C[variant][:, columns] @ contact.nodal_forces + change
+
+    first, forces = jax.lax.stop_gradient(jax.vmap(settle)(rig.pose, rig.imposed, rig.variant))
+    changes = jnp.stack([each.changes(forces) for each in bodies])
+    change = changes[rig.variant, jnp.arange(len(rig.variant))]
+    return jax.vmap(carry)(rig.pose, rig.imposed, rig.variant, first.active, change)
 
 
 class Residuals(eqx.Module):
