@@ -190,9 +190,10 @@ class Assembled:
         if not rates:
             return self.model.wired.free
         felt = self.predict().quantity
-        begun = {}
+        begun: dict[str, float] = {}
         for index, one in rates:
-            begun[f"{one.name}.scale"], begun[f"{one.name}.threshold"] = start(np.asarray(felt[index]), one.measured, 1 / noise_of(one)[0] ** 2)
+            scale, threshold = start(np.asarray(felt[index]), one.measured, 1 / noise_of(one)[0] ** 2)
+            begun |= {f"{one.name}.scale": scale, f"{one.name}.threshold": threshold}
         return tuple(_begin(parameter, begun) for parameter in self.model.wired.free)
 
 

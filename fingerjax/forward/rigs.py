@@ -104,13 +104,16 @@ def plans(measurements: tuple[Measurement, ...], solid: LayeredSolid, wired: Wir
     return found
 
 
-def _plan(measurement: Measurement, index: int, indenter: AbstractIndenter, rows: np.ndarray, variant: np.ndarray, solid: LayeredSolid) -> Plan:
+def _plan(
+    measurement: Measurement, index: int, indenter: AbstractIndenter, rows: np.ndarray, variant: np.ndarray, solid: LayeredSolid
+) -> Plan:
     origin = _origins(measurement, rows, solid)
     imposed = measurement.table[measurement.imposed][rows]
     origins, pose = np.unique(np.round(origin, 9), axis=0, return_inverse=True)
     key = np.column_stack([pose.reshape(-1), variant, imposed])
     cases, case = np.unique(key, axis=0, return_inverse=True)
-    return Plan(measurement, index, indenter, rows, origins, cases[:, 0].astype(int), cases[:, 2], cases[:, 1].astype(int), case.reshape(-1))
+    which, tissue = cases[:, :2].astype(int).T
+    return Plan(measurement, index, indenter, rows, origins, which, cases[:, 2], tissue, case.reshape(-1))
 
 
 def _origins(measurement: Measurement, rows: np.ndarray, solid: LayeredSolid) -> np.ndarray:
