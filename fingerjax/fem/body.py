@@ -44,7 +44,7 @@ class Incidence(eqx.Module):
     Nodes are split in groups of similar valence, so that a corner shared by forty elements does not pad a midside shared by six.
     """
 
-    rows: tuple[Int[Array, "group valence"], ...]
+    rows: tuple[Int[Array, "_ _"], ...]
     order: Int[Array, " nodes"]
 
     def accumulate(self, values: Float[Array, "rows 3"]) -> Float[Array, "nodes 3"]:
