@@ -69,7 +69,7 @@ class _Host:
         self.nodes = len(body.free)
         self._kept: OrderedDict[bytes, tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
-    def solve(self, lame: np.ndarray, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, lame: Array | np.ndarray, loads: Array | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         key = np.asarray(lame).tobytes() + np.asarray(loads).tobytes()[:4096] + str(loads.shape).encode()
         if key not in self._kept:
             self._kept[key] = self._fresh(np.asarray(lame), np.asarray(loads))

@@ -45,8 +45,8 @@ class Prediction(eqx.Module):
     - `settled`: every contact was decided; `inside`: none reached the edge of the pad that was prepared.
     """
 
-    readings: tuple[Float[Array, " rows"], ...]
-    quantity: tuple[Float[Array, " rows"], ...]
+    readings: tuple[Float[Array, " _"], ...]
+    quantity: tuple[Float[Array, " _"], ...]
     converged: Bool[Array, ""]
     settled: Bool[Array, ""]
     inside: Bool[Array, ""]
@@ -141,8 +141,8 @@ class Residuals(eqx.Module):
     """(prediction - data) / sigma of every row, then one residual for each prior; a function of the raw free parameters."""
 
     model: Model
-    data: tuple[Float[Array, " rows"], ...]
-    sigma: tuple[Float[Array, " rows"], ...]
+    data: tuple[Float[Array, " _"], ...]
+    sigma: tuple[Float[Array, " _"], ...]
     priors: tuple[Prior, ...]
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
