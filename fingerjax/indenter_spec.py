@@ -119,8 +119,8 @@ def _lengths(name: str, shape: _Shape, said: Mapping[str, Any]) -> dict[str, tup
         if base in dimensions:
             to_internal(1.0, unit, "length", str(key))
             found[base] = (str(key), str(unit), value)
-        elif key not in shape.keys():
-            remedy = choose_from(key, shape.keys())
+        elif key not in (allowed := shape.keys()):
+            remedy = choose_from(key, allowed)
             raise InputError(f"unknown key for the indenter {name!r}", place=str(key), remedy=remedy)
     return found
 

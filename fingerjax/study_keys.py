@@ -25,7 +25,7 @@ POISSON_RATIO = 0.48
 RIGID_DECADES = 3
 
 
-def ratio_decades(name: str) -> dict[str, int]:
+def ratio_decades(name: object) -> dict[str, int]:
     """The digits of a ratio model: `m43338` -> log10 of the moduli of the five layers, bone last.
 
     Only their differences mean anything (Dandekar et al. 2003, section 3). **Raises** `InputError` for any

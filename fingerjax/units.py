@@ -100,7 +100,7 @@ def to_internal(values: Any, unit: str | None, dimension: str, column: str = "va
 
     **Raises** `InputError` as `factor` does.
     """
-    return np.asarray(values, dtype=np.float64) * factor(unit, dimension, column)
+    return np.asarray(np.asarray(values, dtype=np.float64) * factor(unit, dimension, column))
 
 
 def read_quantity(text: object, dimension: str, column: str = "value") -> float:

@@ -68,13 +68,22 @@ def test_a_preset_meshes_within_the_bars() -> None:
     check(*monkey())
 
 
+def check_on_interface(solid: LayeredSolid, finger: Finger, layer: int, nodes: np.ndarray) -> None:
+    off = nodes[np.abs(solid.level(layer, finger.nodes[nodes])) > 1e-6]
+    assert len(off) <= finger.quality["straightened"] <= 0.01 * len(finger.nodes)
+    assert not np.isin(off, finger.tets[:, :4]).any()
+    assert np.abs(solid.level(layer, finger.nodes[off])).max(initial=0.0) < 0.05
+
+
 def test_interfaces_lie_on_the_solids_own() -> None:
-    """Nodes between two layers, midsides too, are on the outer surface of the inner one."""
+    """Nodes between two layers, midsides too, are on the outer surface of the inner one.
+
+    A few midsides are pulled straight where an element would turn inside out; the mesh counts them.
+    """
     solid, finger = monkey()
     of = [np.unique(finger.tets[finger.layer == layer]) for layer in range(len(LAYERS))]
     for layer in range(1, len(LAYERS)):
-        between = np.intersect1d(of[layer - 1], of[layer])
-        assert np.abs(solid.level(layer, finger.nodes[between])).max() < 1e-6
+        check_on_interface(solid, finger, layer, np.intersect1d(of[layer - 1], of[layer]))
     np.testing.assert_array_equal(np.flatnonzero(finger.bone), of[BONE])
 
 
@@ -100,7 +109,7 @@ def test_without_bone_keeps_its_surface_and_nothing_loose() -> None:
     soft = finger.without_bone()
     assert set(np.unique(soft.layer)) == {0, 1, 2, 3}
     np.testing.assert_array_equal(np.unique(soft.tets), np.arange(len(soft.nodes)))
-    assert np.abs(solid.level(BONE, soft.nodes[soft.bone])).max() < 1e-6
+    check_on_interface(solid, soft, BONE, np.flatnonzero(soft.bone))
     np.testing.assert_allclose(soft.nodes[soft.skin], finger.nodes[finger.skin])
     assert soft.nail.sum() == finger.nail.sum()
     assert block().without_bone() is not None and len(block().without_bone().tets) == len(block().tets)

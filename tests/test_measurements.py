@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from pathlib import Path
@@ -81,7 +82,7 @@ def test_profile_and_its_frame(tmp_path):
         "noise": {"sigma": 20, "unit": "um"},
     }
     one = read(tmp_path, PROFILE_CSV, said)
-    assert one.site == Site(9.0, pytest.approx(1.5 * math.pi))
+    assert one.site is not None and (one.site.z, one.site.theta) == (9.0, pytest.approx(1.5 * math.pi))
     assert one.indenters == {"": IndenterSpec("line", {"width": 0.05}, "z")}
     np.testing.assert_allclose(one.sigma, [0.02, 0.02], rtol=1e-15)
     assert one.direction == "x" and one.receptor is None and one.replicates == 1
@@ -93,8 +94,8 @@ def test_no_site_stays_unsaid(tmp_path):
 
 def test_rates_by_depth_and_by_force(tmp_path):
     one = read(tmp_path, RATE_CSV, RATE)
-    assert one.receptor == Receptor("SA-I", 0.75, 8.0, pytest.approx(1.5 * math.pi))
-    assert one.site == Site(8.0, pytest.approx(1.5 * math.pi))
+    assert dataclasses.astuple(one.receptor) == ("SA-I", 0.75, 8.0, pytest.approx(1.5 * math.pi))
+    assert dataclasses.astuple(one.site) == (8.0, pytest.approx(1.5 * math.pi))
     assert (one.controlled, one.value, one.unit) == ("displacement", "rate", "Hz")
     pressed = read(tmp_path, RATE_CSV.replace("depth_mm", "force_gf"), RATE)
     assert (pressed.controlled, pressed.imposed) == ("force", "force")

@@ -8,6 +8,7 @@ import pytest
 from fingerjax.errors import InputError
 from fingerjax.geometry.presets import HUMAN, MONKEY, PRESETS, preset
 from fingerjax.layers import LAYERS
+from fingerjax.mesh.columns import Rays
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
@@ -35,7 +36,8 @@ def test_layers_nest_and_end_one_inside_the_other(name: str) -> None:
     assert (np.diff(radii[:-1, :, :3], axis=-1) < 0).any()
     ends = [solid.sections.z[(radii[:, :, layer] > 0).any(axis=1)].max() for layer in range(len(LAYERS))]
     assert (np.diff(ends) < 0).all()
-    assert (radii[0, :, 3] - radii[0, :, 4]).min() > 0.02 * solid.largest_radius
+    # The fibrous matrix is thinnest between the base of the bone and the nail; the mesher thickens what is below `thinnest`.
+    assert (radii[0, :, 3] - radii[0, :, 4]).min() > 2.0 * Rays(solid).thinnest
     assert min(solid.volume(layer) for layer in range(len(LAYERS))) > 0
 
 

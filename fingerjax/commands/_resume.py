@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import fingerjax
+from fingerjax import __version__
 from fingerjax.report.records import plain
 from fingerjax.study import Study
 from fingerjax.study_reader import SHARED
@@ -51,8 +51,8 @@ def _texts(said: Any) -> Iterator[str]:
 @cache
 def _program() -> str:
     """The version, and the text of the package: a change of the code asks for a new result."""
-    digest = hashlib.sha256(fingerjax.__version__.encode())
-    root = Path(fingerjax.__file__).parent
+    digest = hashlib.sha256(__version__.encode())
+    root = Path(__file__).resolve().parent.parent
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return digest.hexdigest()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -45,7 +44,7 @@ class Incidence(eqx.Module):
     Nodes are split in groups of similar valence, so that a corner shared by forty elements does not pad a midside shared by six.
     """
 
-    rows: tuple[Int[Array, "group valence"], ...]
+    rows: tuple[Int[Array, "_ _"], ...]
     order: Int[Array, " nodes"]
 
     def accumulate(self, values: Float[Array, "rows 3"]) -> Float[Array, "nodes 3"]:
@@ -107,7 +106,7 @@ def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2
     - `order`: 2 for quadratic tetrahedra, 1 for linear ones on the same corners.
     - `degree`: of the quadrature; 2 (four points) is exact where elements are straight and keeps the order of convergence where not.
     """
-    if not jax.config.jax_enable_x64:
+    if jnp.ones(()).dtype != jnp.float64:
         raise RuntimeError("fingerjax computes in float64: call jax.config.update('jax_enable_x64', True) before anything else")
     finger = finger.without_bone() if bone == "rigid" else finger
     held = finger.nail | finger.bone if bone == "rigid" else finger.nail
@@ -129,7 +128,8 @@ def assemble_body(nodes: np.ndarray, tets: np.ndarray, layer: np.ndarray, held: 
     jacobian = np.einsum("eai,qaj->eqij", nodes[tets], slopes)
     determinant = np.linalg.det(jacobian)
     if determinant.min() <= 0:
-        raise ValueError(f"element {int(determinant.min(axis=1).argmin())} is inverted (Jacobian {determinant.min():.3g}); remesh, or reorder its corners")
+        worst = int(determinant.min(axis=1).argmin())
+        raise ValueError(f"element {worst} is inverted (Jacobian {determinant.min():.3g}); remesh, or reorder its corners")
     inverse = np.linalg.inv(jacobian)
     if np.abs(inverse - inverse[:, :1]).max() <= STRAIGHT * np.abs(inverse).max():
         inverse = inverse[:, :1]

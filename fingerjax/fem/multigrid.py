@@ -144,7 +144,7 @@ class Smoother(eqx.Module):
         u = jnp.zeros_like(load) if start is None else start
         r = load if start is None else load - operate(start)
 
-        def advance(_: int, state: tuple) -> tuple:
+        def advance(_: Int[Array, ""] | int, state: tuple) -> tuple:
             u, r, d, rho = state
             u, r = u + d, r - operate(d)
             following = 1 / (2 * theta / delta - rho)

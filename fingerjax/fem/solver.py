@@ -76,7 +76,7 @@ class _Host:
         self.assembled = Assembled(body, upper=True)
         self.nodes = len(body.free)
 
-    def solve(self, lame: np.ndarray, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, lame: Array | np.ndarray, loads: Array | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements (m, n, 3) under loads (m, n, 3), and the relative residual (m,)."""
         flat = np.asarray(loads).reshape(len(loads), -1)
         x, residual = self.direct(np.asarray(lame), np.asfortranarray(flat[:, self.assembled.free].T))

@@ -46,8 +46,8 @@ class Prediction(eqx.Module):
     - `settled`: every contact was decided; `inside`: none reached the edge of the pad that was prepared.
     """
 
-    readings: tuple[Float[Array, " rows"], ...]
-    quantity: tuple[Float[Array, " rows"], ...]
+    readings: tuple[Float[Array, " _"], ...]
+    quantity: tuple[Float[Array, " _"], ...]
     converged: Bool[Array, ""]
     settled: Bool[Array, ""]
     inside: Bool[Array, ""]
@@ -167,8 +167,8 @@ class Residuals(eqx.Module):
     """(prediction - data) / sigma of every row, then one residual for each prior; a function of the raw free parameters."""
 
     model: Model
-    data: tuple[Float[Array, " rows"], ...]
-    sigma: tuple[Float[Array, " rows"], ...]
+    data: tuple[Float[Array, " _"], ...]
+    sigma: tuple[Float[Array, " _"], ...]
     priors: tuple[Prior, ...]
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
@@ -224,9 +224,10 @@ class Assembled:
         if not rates:
             return self.model.wired.free
         felt = self.predict().quantity
-        begun = {}
+        begun: dict[str, float] = {}
         for index, one in rates:
-            begun[f"{one.name}.scale"], begun[f"{one.name}.threshold"] = start(np.asarray(felt[index]), one.measured, 1 / noise_of(one)[0] ** 2)
+            scale, threshold = start(np.asarray(felt[index]), one.measured, 1 / noise_of(one)[0] ** 2)
+            begun |= {f"{one.name}.scale": scale, f"{one.name}.threshold": threshold}
         return tuple(_begin(parameter, begun) for parameter in self.model.wired.free)
 
 

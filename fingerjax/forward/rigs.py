@@ -104,13 +104,16 @@ def plans(measurements: tuple[Measurement, ...], solid: LayeredSolid, wired: Wir
     return found
 
 
-def _plan(measurement: Measurement, index: int, indenter: AbstractIndenter, rows: np.ndarray, variant: np.ndarray, solid: LayeredSolid) -> Plan:
+def _plan(
+    measurement: Measurement, index: int, indenter: AbstractIndenter, rows: np.ndarray, variant: np.ndarray, solid: LayeredSolid
+) -> Plan:
     origin = _origins(measurement, rows, solid)
     imposed = measurement.table[measurement.imposed][rows]
     origins, pose = np.unique(np.round(origin, 9), axis=0, return_inverse=True)
     key = np.column_stack([pose.reshape(-1), variant, imposed])
     cases, case = np.unique(key, axis=0, return_inverse=True)
-    return Plan(measurement, index, indenter, rows, origins, cases[:, 0].astype(int), cases[:, 2], cases[:, 1].astype(int), case.reshape(-1))
+    which, tissue = cases[:, :2].astype(int).T
+    return Plan(measurement, index, indenter, rows, origins, which, cases[:, 2], tissue, case.reshape(-1))
 
 
 def _origins(measurement: Measurement, rows: np.ndarray, solid: LayeredSolid) -> np.ndarray:
@@ -229,19 +232,21 @@ def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix
 
 def _only(geometry: Interface, kept: np.ndarray) -> Interface:
     """An interface without the hats that lie off the indenter; `pieces` that touch one of those lose their area."""
-    number = np.full(geometry.area.shape[1], -1)
+    one = jax.tree.map(lambda leaf: leaf[0], geometry)
+    number = np.full(one.area.shape[0], -1)
     number[kept] = np.arange(len(kept))
-    pieces = number[np.asarray(geometry.pieces[0])]
+    pieces = number[np.asarray(one.pieces)]
     whole = np.all(pieces >= 0, axis=1)
-    return Interface(
-        load=jnp.eye(len(kept))[None],
-        overlap=geometry.overlap[:, kept],
-        area=geometry.area[:, kept],
-        rim=geometry.rim[:, kept],
-        lowest=geometry.lowest,
-        pieces=jnp.asarray(pieces[whole])[None],
-        covered=geometry.covered[:, whole],
+    pressures = Interface(
+        load=jnp.eye(len(kept)),
+        overlap=one.overlap[kept],
+        area=one.area[kept],
+        rim=one.rim[kept],
+        lowest=one.lowest,
+        pieces=jnp.asarray(pieces[whole]),
+        covered=one.covered[whole],
     )
+    return jax.tree.map(lambda leaf: leaf[None], pressures)
 
 
 def _indentations(plan: Plan, limit: float) -> list[Indentation]:

@@ -39,9 +39,9 @@ class Threshold(AbstractAfferent):
 
 
 def rate(
-    quantity: Float[ArrayLike, "..."], scale: Float[ArrayLike, ""], threshold: Float[ArrayLike, ""]
+    quantity: Float[ArrayLike, "..."], scale: Float[ArrayLike, "..."], threshold: Float[ArrayLike, "..."]
 ) -> Float[Array, "..."]:
-    """scale * max(quantity - threshold, 0), in Hz."""
+    """scale * max(quantity - threshold, 0), in Hz; scale and threshold may differ from row to row."""
     above = jnp.asarray(quantity) - threshold
     return jnp.asarray(scale) * jnp.where(above >= 0.0, above, 0.0)
 

@@ -58,7 +58,8 @@ def _settled(study: Study, assembled: Assembled, found: Fit, known: Uncertainty,
 
 def _about(found: Fit, record: dict[str, Any]) -> list[Figure]:
     several = [figures.correlations(record["correlations"])] if len(found.problem.parameters) > 1 else []
-    return [*several, figures.fit_path([{"step": s.step, "chi2": s.chi2, "gradient": s.gradient, "accepted": s.accepted} for s in found.history])]
+    path = [{"step": s.step, "chi2": s.chi2, "gradient": s.gradient, "accepted": s.accepted} for s in found.history]
+    return [*several, figures.fit_path(path)]
 
 
 def _ratios(assembled: Assembled, found: Fit, known: Uncertainty) -> list[Table]:

@@ -44,7 +44,8 @@ def force_table(study: Study, context: Context) -> StudyResult:
 
 def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dict[str, Assembled], dict[str, np.ndarray], RESULTS]:
     """Each indenter on a mesh of its own, fine where that one needs it: the meshes, the forces, and how it ended."""
-    assembled, forces = {}, {}
+    assembled: dict[str, Assembled] = {}
+    forces: dict[str, np.ndarray] = {}
     for number, name in enumerate(table.indenters):
         context.tell(0.02 + 0.96 * number / len(table.indenters), name)
         assembled[name] = assemble(dataclasses.replace(study, measurements=measurements_of(table, name)))
@@ -86,7 +87,8 @@ def _result(begun: StudyResult, table: ForceTable, forces: dict[str, np.ndarray]
         for row, force in zip(rows, forces.get(name, ()), strict=True):
             ours.append(modulus * row.force / float(force))
             slopes.append(modulus / float(force) * GRAM_FORCE)
-            labels.append({"indenter": name, "subject": row.subject, "force_gf": row.force / GRAM_FORCE, "displacement_mm": row.displacement})
+            where = {"force_gf": row.force / GRAM_FORCE, "displacement_mm": row.displacement}
+            labels.append({"indenter": name, "subject": row.subject, **where})
     paper = [row.modulus for name in table.indenters for row in table.rows if row.indenter == name]
     beside = beside_paper(labels, ours, paper)
     for line, slope in zip(beside, slopes, strict=True):
@@ -145,9 +147,11 @@ def _tip_notes(tips: list[Row]) -> list[str]:
     if not tips:
         return []
     radius = np.array([row["radius_mm"] for row in tips])
-    found = [("the paper's 0.0523 MPa/gf", crossing(radius, np.array([row["slope_MPa_per_gf"] for row in tips]), PAPER_POINT_SLOPE))]
+    slope = np.array([row["slope_MPa_per_gf"] for row in tips])
+    found = [("the paper's 0.0523 MPa/gf", crossing(radius, slope, PAPER_POINT_SLOPE))]
     if "ratio" in tips[0]:
-        found.append(("a plate:point force ratio of 5.7", crossing(radius, np.array([row["ratio"] for row in tips]), PAPER_PLATE_OVER_POINT)))
+        ratio = np.array([row["ratio"] for row in tips])
+        found.append(("a plate:point force ratio of 5.7", crossing(radius, ratio, PAPER_PLATE_OVER_POINT)))
     span = f"{radius.min():g} to {radius.max():g} mm"
     return [f"A tip of radius {at:.2f} mm gives {what}." if at else f"No radius from {span} gives {what}." for what, at in found]
 
@@ -166,17 +170,22 @@ def _growth(table: ForceTable, forces: dict[str, np.ndarray]) -> list[Row]:
 
 def _verdict(means: list[Row], beside: list[Row]) -> str:
     all_rows = means[0]
-    told = f"Epidermal modulus {all_rows['our_mean_epidermis_modulus_MPa']:.3g} MPa (SD {all_rows['our_sd_epidermis_modulus_MPa']:.2g}, {len(beside)} rows)"
+    ours, spread = all_rows["our_mean_epidermis_modulus_MPa"], all_rows["our_sd_epidermis_modulus_MPa"]
+    told = f"Epidermal modulus {ours:.3g} MPa (SD {spread:.2g}, {len(beside)} rows)"
     theirs = all_rows["paper_mean_epidermis_modulus_MPa"]
     if theirs is None:
         return f"{told}."
-    off = all_rows["our_mean_epidermis_modulus_MPa"] / theirs
-    return f"{told}; the paper found {theirs:.3g} (SD {all_rows['paper_sd_epidermis_modulus_MPa']:.2g}): ours is {off:.2f} times that."
+    about = f"(SD {all_rows['paper_sd_epidermis_modulus_MPa']:.2g})"
+    return f"{told}; the paper found {theirs:.3g} {about}: ours is {ours / theirs:.2f} times that."
 
 
 def _figures(beside: list[Row], tips: list[Row]) -> list[Figure]:
     bars = [
-        {"name": f"{row['indenter']} {row['subject']}", "value_MPa": row["our_epidermis_modulus_MPa"], "paper_MPa": row["paper_epidermis_modulus_MPa"]}
+        {
+            "name": f"{row['indenter']} {row['subject']}",
+            "value_MPa": row["our_epidermis_modulus_MPa"],
+            "paper_MPa": row["paper_epidermis_modulus_MPa"],
+        }
         for row in beside
     ]
     drawn = [figures.moduli(bars, caption="Epidermal modulus of each row, ours beside the paper's.")]

@@ -45,7 +45,7 @@ def layer_models(study: Study, context: Context) -> StudyResult:
 
 
 def _profile(options: LayerStudy) -> Measurement:
-    count = int(round(options.span / options.spacing))
+    count = round(options.span / options.spacing)
     distance = options.spacing * np.arange(-count, count + 1)
     columns = {"depth": np.full(len(distance), options.depth), "distance": distance, "deflection": np.zeros(len(distance))}
     indenters = {"": options.indenter}
@@ -108,7 +108,12 @@ def check_findings(influence: list[Row]) -> list[Row]:
     deeper_is_farther = lambda: bool(np.all(np.diff([centre[k] for k in sorted(centre)]) > 0))  # noqa: E731
     return [
         _finding("a stiffer layer 1 widens the profile", [1], stiff, lambda: min(stiff[1]["beyond"], stiff[1]["near"]) > 0),
-        _finding("a stiffer layer 2 narrows it near the load and widens it beyond", [2], stiff, lambda: stiff[2]["near"] < 0 < stiff[2]["beyond"]),
+        _finding(
+            "a stiffer layer 2 narrows it near the load and widens it beyond",
+            [2],
+            stiff,
+            lambda: stiff[2]["near"] < 0 < stiff[2]["beyond"],
+        ),
         _finding("layer 2 matters least", [1, 2, 3, 4], mean, lambda: min(mean, key=lambda layer: mean[layer]) == 2),
         _finding("stiffer layers 3 and 4 narrow the profile", [3, 4], stiff, lambda: max(stiff[3]["beyond"], stiff[4]["beyond"]) < 0),
         _finding("the deeper the layer, the farther its influence", [1, 2, 3, 4], centre, deeper_is_farther),
