@@ -27,7 +27,7 @@ from ..study import ForceTable, Study
 from ..units import to_internal
 from .fitting import complaint
 
-GRAM_FORCE = float(to_internal(1.0, "gf", "force"))  # N
+GRAM_FORCE = float(to_internal([1.0], "gf", "force")[0])  # N
 COARSER = 1.3  # spacing of the base over the study's own
 STIFF_BONE = 1e3  # bone over epidermis; the paper's range begins here, and a stiffer one moves nothing more
 NOT_HERE = (
@@ -56,7 +56,8 @@ def _grown(*names: str, by: float) -> Callable[[Dimensions], Dimensions]:
 
     def change(d: Dimensions) -> Dimensions:
         values: dict[str, Any] = {name: np.multiply(getattr(d, name), by) for name in names}
-        return dataclasses.replace(d, **{name: float(v) if v.ndim == 0 else tuple(v.tolist()) for name, v in values.items()})
+        grown: dict[str, Any] = {name: float(v) if v.ndim == 0 else tuple(v.tolist()) for name, v in values.items()}
+        return dataclasses.replace(d, **grown)
 
     return change
 

@@ -51,7 +51,8 @@ def _driven(result: StudyResult, study: Study, table: ForceTable, context: Conte
 
 def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dict[str, Assembled], dict[str, np.ndarray], RESULTS]:
     """Each indenter on a mesh of its own, fine where that one needs it: the meshes, the forces, and how it ended."""
-    assembled, forces = {}, {}
+    assembled: dict[str, Assembled] = {}
+    forces: dict[str, np.ndarray] = {}
     for number, name in enumerate(table.indenters):
         context.tell(0.02 + ((DRIVERS_FROM if table.drivers else 0.98) - 0.02) * number / len(table.indenters), name)
         assembled[name] = assemble(dataclasses.replace(study, measurements=measurements_of(table, name)))
