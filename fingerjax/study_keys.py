@@ -295,7 +295,7 @@ class DiagnoseKeys(Strict):
 
 class TableKeys(Strict):
     """Options of `kind: table`: rows of force and displacement, here or in a CSV, and the indenters named
-    in them.
+    in them; `drivers` asks what a modulus changes with, on a preset finger under a flat plate.
     """
 
     indenters: dict[str, Any] = Field(min_length=1)
@@ -303,6 +303,7 @@ class TableKeys(Strict):
     data: str | None = None
     controlled: Literal["displacement", "force"] = "displacement"
     radii_mm: dict[str, list[Positive]] = {}
+    drivers: bool = False
 
     @model_validator(mode="after")
     def _known_radii(self) -> TableKeys:

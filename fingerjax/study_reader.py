@@ -210,7 +210,7 @@ class StudyReader:
     def _options(self, keys: StudyKeys) -> ForceTable | LayerStudy | None:
         inner = self._below("options")
         if keys.kind == "table":
-            return self._force_table(checked(TableKeys, keys.options or {}, inner))
+            return self._force_table(checked(TableKeys, keys.options or {}, inner), keys.finger.preset)
         if keys.kind == "layer_study":
             said = checked(LayerStudyKeys, keys.options or {}, inner)
             with located(inner, "indenter"):
@@ -218,7 +218,7 @@ class StudyReader:
             return LayerStudy(tuple(said.models), said.depth_mm, indenter, said.span_mm, said.spacing_mm)
         return None
 
-    def _force_table(self, said: TableKeys) -> ForceTable | None:
+    def _force_table(self, said: TableKeys, preset: str | None) -> ForceTable | None:
         inner = self._below("options")
         indenters = {}
         for name, one in said.indenters.items():
@@ -234,7 +234,19 @@ class StudyReader:
                 table = inline_table(said.rows)
         with located(inner):
             radii = {name: tuple(values) for name, values in said.radii_mm.items()}
-            return ForceTable(_table_rows(Tidy(table), indenters), indenters, said.controlled, radii)
+            rows = _table_rows(Tidy(table), indenters)
+            if said.drivers:
+                _check_drivers(preset, {indenters[row.indenter].shape for row in rows})
+            return ForceTable(rows, indenters, said.controlled, radii, said.drivers)
+
+
+def _check_drivers(preset: str | None, shapes: set[str]) -> None:
+    if preset is None:
+        remedy = "take it out, or write finger: {preset: ...}, whose dimensions can be changed one at a time"
+        raise InputError("drivers need a preset finger", place="drivers", seen=True, remedy=remedy)
+    if "flat_plate" not in shapes:
+        remedy = "take it out, or add a row pressed by a flat plate"
+        raise InputError("drivers are told under a flat plate", place="drivers", seen=True, remedy=remedy)
 
 
 def _table_rows(tidy: Tidy, indenters: Mapping[str, IndenterSpec]) -> tuple[TableRow, ...]:

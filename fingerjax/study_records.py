@@ -84,13 +84,15 @@ class TableRow:
 @dataclasses.dataclass(frozen=True)
 class ForceTable:
     """Options of `kind: table`: the rows, and the indenter of each name in them; `controlled` says what was
-    imposed; `radii`, mm, are those at which an indenter of unknown radius is tried.
+    imposed; `radii`, mm, are those at which an indenter of unknown radius is tried; `drivers` asks what a
+    modulus changes with.
     """
 
     rows: tuple[TableRow, ...]
     indenters: dict[str, IndenterSpec]
     controlled: str
     radii: dict[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
+    drivers: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,10 +20,10 @@ from ..report import figures
 from ..report.records import Context, Figure, Row, StudyResult, Table, mesh_record
 from ..report.tables import beside_paper, mean_and_sd
 from ..study import ForceTable, Study, TableRow
-from ..units import to_internal
+from .drivers import GRAM_FORCE, drivers
 from .fitting import complaint
 
-GRAM_FORCE = float(to_internal(1.0, "gf", "force"))  # N
+DRIVERS_FROM = 0.5  # share of the work that is done when the rows are
 PAPER_POINT_SLOPE = 0.0523  # MPa/gf: epidermal modulus over force of every point row of the paper's Table 1
 PAPER_PLATE_OVER_POINT = 5.7  # the plate's force over the point's for one modulus, from the same rows
 
@@ -39,7 +39,14 @@ def force_table(study: Study, context: Context) -> StudyResult:
     if why is not RESULTS.successful:
         return begun
     modulus = next(iter(assembled.values())).model.wired.fixed["epidermis.modulus"]
-    return _result(begun, table, forces, modulus)
+    result = _result(begun, table, forces, modulus)
+    return _driven(result, study, table, context) if table.drivers else result
+
+
+def _driven(result: StudyResult, study: Study, table: ForceTable, context: Context) -> StudyResult:
+    """The result with the table of what drives its moduli, and what that table says."""
+    driving, told = drivers(study, table, context.within(DRIVERS_FROM, 0.98).tell)
+    return dataclasses.replace(result, tables=[*result.tables, driving], notes=[*result.notes, *told])
 
 
 def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dict[str, Assembled], dict[str, np.ndarray], RESULTS]:
@@ -47,7 +54,7 @@ def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dic
     assembled: dict[str, Assembled] = {}
     forces: dict[str, np.ndarray] = {}
     for number, name in enumerate(table.indenters):
-        context.tell(0.02 + 0.96 * number / len(table.indenters), name)
+        context.tell(0.02 + ((DRIVERS_FROM if table.drivers else 0.98) - 0.02) * number / len(table.indenters), name)
         assembled[name] = assemble(dataclasses.replace(study, measurements=measurements_of(table, name)))
         prediction = assembled[name].predict()
         why = complaint(prediction)
