@@ -272,7 +272,7 @@ def _border(facets: np.ndarray) -> np.ndarray:
 
 def _reached(whole: Pad, one: Indentation) -> np.ndarray:
     """Facets within a quarter of the travel of the indenter (soft skin bulges), and their neighbours."""
-    lowest = first_contact(whole, one.indenter, one.origin)
+    lowest = _first_contact(whole, one.indenter, jnp.asarray(one.origin, float))
     at = np.einsum(
         "sa,fai->fsi", np.asarray(_shapes(*_SAMPLES.T)), np.asarray(whole.points)[np.asarray(whole.facets)]
     )
@@ -283,6 +283,11 @@ def _reached(whole: Pad, one: Indentation) -> np.ndarray:
     touched = np.any(near & (gap < 1.25 * one.travel), axis=1)
     facets = np.asarray(whole.facets)
     return np.any(np.isin(facets, facets[touched]), axis=1)
+
+
+@eqx.filter_jit
+def _first_contact(whole: Pad, indenter: AbstractIndenter, origin: Float[Array, "2"]) -> Float[Array, ""]:
+    return first_contact(whole, indenter, (origin[0], origin[1]))
 
 
 def _cut(whole: Pad, chosen: np.ndarray) -> Pad:

@@ -16,11 +16,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.indentation import Contact, press
+from ..contact.pad import Interface
 from ..errors import InputError
-from ..fem.body import Body, body
+from ..fem.body import Body, Material, body
 from ..fem.columns import Columns, columns_from_matrix
-from ..fem.compliance import Compliance, compliance
-from ..fem.solver import AbstractSolver, solver_for
+from ..fem.compliance import Condensed, condense
+from ..fem.solver import AbstractSolver, Known, known, solver_for
 from ..finger import Finger
 from ..geometry.presets import preset
 from ..geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
@@ -70,24 +71,30 @@ class Model(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     lengths: tuple[int, ...] = eqx.field(static=True)
     receptor_layer: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    known: tuple[Known, ...] | None = None
 
-    def condensed(self, values: Values) -> list[Compliance]:
-        """One compliance for each material that the rows need."""
-        materials = [self.wired.material(dict(labels), values) for labels in self.variants]
-        return [compliance(self.body, self.solver, material, self.columns) for material in materials]
+    def materials(self, values: Values) -> list[Material]:
+        """The tissue of each variant: of every subject, say, that has moduli of its own."""
+        return [self.wired.material(dict(labels), values) for labels in self.variants]
+
+    def solved(self, values: Values) -> Model:
+        """The same model with the linear solves at these values done: it holds there, and so do its derivatives."""
+        found = tuple(known(self.solver, self.body, tissue.lame(), self.columns) for tissue in self.materials(values))
+        return dataclasses.replace(self, known=found)
 
     def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
         """Every reading at these values; names that are missing keep the study's own.
 
         `quantity` names what the receptor is taken to feel, one of `measure.receptor.QUANTITIES`.
         """
-        bodies = self.condensed(values)
-        C = jnp.stack([each.matrix for each in bodies])
+        solvers = self.known or (self.solver,) * len(self.variants)
+        pairs = zip(solvers, self.materials(values), strict=True)
+        bodies = [condense(self.body, solver, tissue, self.columns) for solver, tissue in pairs]
         readings = [jnp.zeros(length) for length in self.lengths]
         felt = [jnp.zeros(length) for length in self.lengths]
         settled, inside = jnp.asarray(True), jnp.asarray(True)
         for rig in self.rigs:
-            contact, observed = pressed(rig, C)
+            contact, observed = pressed(rig, bodies)
             settled, inside = settled & contact.settled.all(), inside & ~contact.reached_edge.any()
             value, sensed = self._rows(rig, contact, observed, values, quantity)
             readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(value)
@@ -110,7 +117,7 @@ class Model(eqx.Module):
             return observed[rig.case, rig.reading], jnp.zeros(rig.row.shape)
         strain = observed[rig.case[:, None], rig.reading[:, None] + jnp.arange(6)]
         layer = dict(self.receptor_layer)[rig.measurement]
-        tissues = [self.wired.material(dict(labels), values) for labels in self.variants]
+        tissues = self.materials(values)
         E = jnp.stack([tissue.youngs_modulus[layer] for tissue in tissues])[rig.variant[rig.case]]
         nu = jnp.stack([tissue.poisson_ratio[layer] for tissue in tissues])[rig.variant[rig.case]]
         felt = QUANTITIES[quantity](ReceptorState(strain, E, nu))
@@ -124,17 +131,36 @@ class Model(eqx.Module):
         return rate(felt, scale[which], threshold[which])
 
 
-def pressed(rig: Rig, C: Float[Array, "variants m m"]) -> tuple[Contact, Float[Array, "cases m"]]:
-    """Every indentation of a rig, and every column's reading under it."""
+def pressed(rig: Rig, bodies: list[Condensed]) -> tuple[Contact, Float[Array, "cases m"]]:
+    """Every indentation of a rig, and every column's reading under it.
 
-    def one(pose: Array, imposed: Array, variant: Array) -> tuple[Contact, Array]:
-        columns, matrix = rig.columns[pose], C[variant]
-        geometry = jax.tree.map(lambda leaf: leaf[pose], rig.interface)
-        between = matrix[columns[:, None], columns[None, :]]
-        contact = press(between, geometry, force=imposed) if rig.forced else press(between, geometry, travel=imposed)
-        return contact, matrix[:, columns] @ contact.nodal_forces
+    The contact is found with the compliance held. Then the nodal forces it ended with say which change of the compliance matters,
+    and one more solve on the same active set carries the derivatives: a product with the stiffness for each case, not for each column.
+    """
+    C = jnp.stack([each.matrix for each in bodies])
 
-    return jax.vmap(one)(rig.pose, rig.imposed, rig.variant)
+    def geometry(pose: Array) -> Interface:
+        return jax.tree.map(lambda leaf: leaf[pose], rig.interface)
+
+    def push(interface: Interface, between: Array, imposed: Array, start: Array | None) -> Contact:
+        way = {"force": imposed} if rig.forced else {"travel": imposed}
+        return press(between, interface, start=start, **way)
+
+    def settle(pose: Array, imposed: Array, variant: Array) -> tuple[Contact, Array]:
+        columns = rig.columns[pose]
+        contact = push(geometry(pose), C[variant][columns[:, None], columns[None, :]], imposed, None)
+        return contact, jnp.zeros(C.shape[1]).at[columns].add(contact.nodal_forces)
+
+    def carry(pose: Array, imposed: Array, variant: Array, active: Array, change: Array) -> tuple[Contact, Array]:
+        columns, interface = rig.columns[pose], geometry(pose)
+        shifted = eqx.tree_at(lambda one: one.overlap, interface, interface.overlap - interface.load.T @ change[columns])
+        contact = push(shifted, C[variant][columns[:, None], columns[None, :]], imposed, active)
+        return contact, C[variant][:, columns] @ contact.nodal_forces + change
+
+    first, forces = jax.lax.stop_gradient(jax.vmap(settle)(rig.pose, rig.imposed, rig.variant))
+    changes = jnp.stack([each.changes(forces) for each in bodies])
+    change = changes[rig.variant, jnp.arange(len(rig.variant))]
+    return jax.vmap(carry)(rig.pose, rig.imposed, rig.variant, first.active, change)
 
 
 class Residuals(eqx.Module):
@@ -146,8 +172,15 @@ class Residuals(eqx.Module):
     priors: tuple[Prior, ...]
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
+    def values(self, raw: Float[Array, " p"]) -> dict[str, Float[Array, ""]]:
+        return {parameter.name: parameter.natural(raw[i]) for i, parameter in enumerate(self.parameters)}
+
+    def prepared(self, raw: Float[Array, " p"]) -> Residuals:
+        """The same residuals with the linear solves at `raw` done."""
+        return dataclasses.replace(self, model=self.model.solved(self.values(raw)))
+
     def __call__(self, raw: Float[Array, " p"]) -> tuple[Float[Array, " rows"], Health]:
-        values = {parameter.name: parameter.natural(raw[i]) for i, parameter in enumerate(self.parameters)}
+        values = self.values(raw)
         prediction = self.model.predict(values)
         rows = [(f - y) / s for f, y, s in zip(prediction.readings, self.data, self.sigma, strict=True)]
         known = [jnp.atleast_1d((values[prior.name] - prior.mean) / prior.sd) for prior in self.priors]
@@ -165,7 +198,8 @@ class Assembled:
 
     def predict(self, values: Values | None = None, quantity: str = "strain_energy_density") -> Prediction:
         """All readings at these values, compiled."""
-        return _predict(self.model, {name: jnp.asarray(float(value)) for name, value in (values or {}).items()}, quantity)
+        asked = {name: jnp.asarray(float(value)) for name, value in (values or {}).items()}
+        return _predict(self.model.solved(asked), asked, quantity)
 
     def problem(self) -> Problem:
         """The study's fit as least squares; afferents start from the best scale and threshold at the start moduli."""
@@ -183,7 +217,7 @@ class Assembled:
         blocks = {one.name: slice(int(a), int(b)) for one, a, b in zip(self.study.measurements, ends[:-1], ends[1:], strict=True)}
         if known:
             blocks["prior"] = slice(int(ends[-1]), int(ends[-1]) + len(known))
-        return Problem(parameters, residuals, blocks, {name: source for name, (_, source) in noise.items()})
+        return Problem(parameters, residuals, blocks, {name: source for name, (_, source) in noise.items()}, residuals.prepared)
 
     def _started(self) -> tuple[Parameter, ...]:
         rates = [(index, one) for index, one in enumerate(self.study.measurements) if one.kind == "spike_rate"]

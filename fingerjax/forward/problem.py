@@ -36,12 +36,15 @@ class Problem:
       Rows of prior knowledge come last.
     - `blocks`: the rows of each measurement; those of prior knowledge are called `prior`.
     - `sigma_source`: for each measurement `stated`, `replicates` or `assumed`.
+    - `prepare`: for one raw vector, residuals that hold there and whose derivatives do: what needs no derivative (the linear
+      solves) is done before anything is traced. None where the residuals are cheap as they are.
     """
 
     parameters: tuple[Parameter, ...]
     residuals: Callable[[Array], tuple[Array, Health]]
     blocks: dict[str, slice]
     sigma_source: dict[str, str]
+    prepare: Callable[[Array], Callable[[Array], tuple[Array, Health]]] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -151,7 +151,9 @@ def evaluator(problem: Problem) -> Callable[[np.ndarray], _Point]:
     """
 
     def evaluate(raw: np.ndarray) -> _Point:
-        residual, jacobian, health = jax.block_until_ready(_linearise(problem.residuals, jnp.asarray(raw)))
+        at = jnp.asarray(raw)
+        residuals = problem.residuals if problem.prepare is None else problem.prepare(at)
+        residual, jacobian, health = jax.block_until_ready(_linearise(residuals, at))
         return _Point(
             raw,
             np.asarray(residual),
