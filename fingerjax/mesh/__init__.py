@@ -23,7 +23,7 @@ from fingerjax.mesh.smooth import smoothed
 from fingerjax.mesh.surface import Resolution, skin_triangles
 from fingerjax.mesh.topology import edges, quadratic, quadratic_triangles
 
-__all__ = ["Focus", "Resolution", "build_finger", "cache_dir"]
+__all__ = ["Focus", "Resolution", "build_finger", "build_like", "cache_dir"]
 
 DEFAULT = Resolution()
 MESHER = "columns 1"  # part of every key: raise it when the same input would give another mesh
@@ -42,16 +42,38 @@ def build_finger(
     return finger_of(kept(key, lambda: arrays_of(_built(solid, resolution, focus, base, key))))
 
 
-def _built(
-    solid: LayeredSolid, resolution: Resolution, focus: tuple[Focus, ...], base: str, key: str
-) -> Finger:
+def build_like(solid: LayeredSolid, model: LayeredSolid, resolution: Resolution = DEFAULT) -> Finger:
+    """The mesh of a solid on the skin triangles of another, `model`, carried over at equal theta and share of the length.
+
+    Meshing the same solid twice can change a force by some per cent; two solids on one triangulation differ by their shapes alone.
+    """
+    key = content_key(MESHER, solid.digest, resolution, "like", model.digest)
+    return finger_of(kept(key, lambda: arrays_of(_carried(solid, model, resolution, key))))
+
+
+def _carried(solid: LayeredSolid, model: LayeredSolid, resolution: Resolution, key: str) -> Finger:
     started = time.perf_counter()
+    stored = _skin(model, resolution, content_key(MESHER, model.digest, resolution))
+    z = stored["points"][:, 2] * solid.length / model.length
+    points = solid.surface(z, model.angle(stored["points"]))
+    return finger_from_columns(columns(solid, points, stored["triangles"]), key, started)
+
+
+def _skin(solid: LayeredSolid, resolution: Resolution, base: str) -> Arrays:
+    """The triangulated skin of a solid, kept."""
 
     def skin() -> Arrays:
         points, triangles = smoothed(Rays(solid), *skin_triangles(solid, resolution))
         return {"points": points, "triangles": triangles}
 
-    stored = kept(f"{base}-skin", skin)
+    return kept(f"{base}-skin", skin)
+
+
+def _built(
+    solid: LayeredSolid, resolution: Resolution, focus: tuple[Focus, ...], base: str, key: str
+) -> Finger:
+    started = time.perf_counter()
+    stored = _skin(solid, resolution, base)
     mesh = refine(columns(solid, stored["points"], stored["triangles"]), focus)
     return finger_from_columns(mesh, key, started)
 

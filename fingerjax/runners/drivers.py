@@ -1,7 +1,7 @@
 """What drives a modulus read from a force: the slope MPa/gf under a flat plate when one thing of a preset finger changes.
 
-Every variant is meshed and pressed anew at the travel of the plate's first row. The base and its variants share one mesh spacing, coarser
-than the study's own, because only their ratios are told.
+Every variant is pressed anew at the travel of the plate's first row. The base and its variants share one triangulated skin, coarser than
+the study's own, because only their ratios are told and two meshes of one solid differ by some per cent.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..geometry.presets import PRESETS, Dimensions, solid_from_dimensions
 from ..geometry.sections import LayeredSolid, Patch
 from ..layers import SOFT_LAYERS
 from ..measurements import Measurement
-from ..mesh import Resolution, build_finger
+from ..mesh import Resolution, build_like
 from ..report.records import Row, Table
 from ..study import ForceTable, Study
 from ..units import to_internal
@@ -101,7 +101,7 @@ def drivers(study: Study, table: ForceTable, tell: Callable[[float, str], object
     ]
     travel = plate_at(table).table["displacement"][0]
     title = f"What drives the modulus: flat plate, {travel:g} mm, one change at a time"
-    return Table("drivers", title, tidy, note=f"Mesh spacing {COARSER:g} times the study's own, for the base and its variants."), notes(tidy)
+    return Table("drivers", title, tidy, note=f"One mesh, {COARSER:g} times as coarse as the study's own, deformed to each variant."), notes(tidy)
 
 
 def plate_at(table: ForceTable) -> Measurement:
@@ -125,15 +125,15 @@ def slope(study: Study, plate: Measurement, change: Change) -> float | None:
 def _assembled(study: Study, plate: Measurement, change: Change) -> Assembled:
     model = study.model.model_copy(update=change.model)
     varied = dataclasses.replace(study, measurements=(plate,), model=model)
-    solid = change.solid(_solid(study, change))
+    solid = change.solid(_solid(study, change.dimensions))
     said, factor = study.finger.resolution, COARSER * change.spacing
-    finger = build_finger(solid, Resolution(factor * said.pad_mm, factor * said.proximal_mm))
+    finger = build_like(solid, _solid(study), Resolution(factor * said.pad_mm, factor * said.proximal_mm))
     return lay_out(varied, solid, finger, wiring(varied), bone="rigid" if model.bone_modulus() is None else "elastic")
 
 
-def _solid(study: Study, change: Change) -> LayeredSolid:
+def _solid(study: Study, dimensions: Callable[[Dimensions], Dimensions] = _same) -> LayeredSolid:
     assert study.finger.preset is not None  # the door has checked
-    solid, nail = solid_from_dimensions(change.dimensions(PRESETS[study.finger.preset])), study.finger.nail
+    solid, nail = solid_from_dimensions(dimensions(PRESETS[study.finger.preset])), study.finger.nail
     return solid if nail is None else dataclasses.replace(solid, nail=Patch(nail.z, nail.theta))
 
 
