@@ -1,0 +1,277 @@
+"""The chain from measured tables to moduli, in figures: forces, layers, meshes, fits, contact, derivatives, speed.
+
+Everything is read from what the studies of experiments.yaml report, or measured here on small bodies. `--quick` leaves out the fits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import yaml
+
+from benchmarks._record import Figure, at_least, at_most, between, run
+from fingerjax.commands.mesh import finger_of
+from fingerjax.contact.indentation import press
+from fingerjax.contact.indenter import Sphere
+from fingerjax.contact.pad import Indentation, functionals, interface, pad_for
+from fingerjax.fem.body import assemble_body, body, material
+from fingerjax.fem.columns import Columns, columns_from_matrix
+from fingerjax.fem.compliance import compliance
+from fingerjax.fem.operator import internal_force
+from fingerjax.fem.solver import AbstractSolver, direct_available, solver_for
+from fingerjax.finger import Finger
+from fingerjax.forward import assemble
+from fingerjax.layers import SOFT_LAYERS
+from fingerjax.mesh.bodies import block
+from fingerjax.report.records import Context, Row, StudyResult
+from fingerjax.runners import RUNNERS
+from fingerjax.runners.force_table import PAPER_PLATE_OVER_POINT, PAPER_POINT_SLOPE, crossing, measurements_of
+from fingerjax.study import ForceTable, Study, load_studies
+
+ROOT = Path(__file__).resolve().parent.parent
+EXPERIMENTS = ROOT / "experiments.yaml"
+TRUTHS = ROOT / "fits" / "synthetic"
+FACTOR = 1.5
+PAPER_PLATE = {"human": 0.0091, "monkey": 1 / 50.5}  # MPa/gf: Tables 1 and 2
+MEAN_MODULUS = {"human": (0.12, 0.27), "monkey": (0.09, 0.21)}  # MPa
+MONKEY_TRAVEL = 0.79  # mm: finger C of Table 2
+
+
+def main(quick: bool) -> Iterator[Figure]:
+    """The figures of every part, in order."""
+    studies = load_studies(EXPERIMENTS)
+    yield from human(studies["table1"])
+    yield from monkey(studies["table2"])
+    yield from layers(studies["layer_study"])
+    yield from meshes({"human": studies["table1"], "monkey": studies["table2"]})
+    if not quick:
+        yield from layer_ratios(studies["layer_ratios_simulated"])
+        yield from afferent(studies["sa1_bar"])
+    yield patch_test()
+    yield hertz(8 if quick else 14)
+    yield derivative()
+    yield from condensation(studies["table2"], 8 if quick else 32)
+
+
+def answer(study: Study) -> StudyResult:
+    """What a study's runner makes of it; tables leave out their drivers, which have a report of their own."""
+    if isinstance(study.options, ForceTable):
+        study = dataclasses.replace(study, options=dataclasses.replace(study.options, drivers=False))
+    with tempfile.TemporaryDirectory() as folder:
+        return RUNNERS[study.kind](study, Context(Path(folder)))
+
+
+def rows(result: StudyResult, name: str) -> list[Row]:
+    """The rows of one table of a result; none where the study ended before it had one."""
+    return next((table.rows for table in result.tables if table.name == name), [])
+
+
+def one(found: Sequence[Row], column: str, **wanted: Any) -> float:
+    """The value of a column in the first row that has all the values wanted; NaN where there is none."""
+    values = (row[column] for row in found if all(row.get(key) == value for key, value in wanted.items()))
+    value = next(values, None)
+    return math.nan if value is None else float(value)
+
+
+def near(figure: str, value: float, unit: str, target: float, note: str = "") -> Figure:
+    """A figure whose goal is to lie within a factor of 1.5 of the paper's."""
+    return between(figure, value, unit, target / FACTOR, target * FACTOR, note or f"{value / target:.2f} times the paper's {target:.4g}")
+
+
+def mean(name: str, result: StudyResult) -> Figure:
+    found = rows(result, "means")
+    theirs = one(found, "paper_mean_epidermis_modulus_MPa", rows="all")
+    ours = one(found, "our_mean_epidermis_modulus_MPa", rows="all")
+    return between(f"{name} epidermis, mean", ours, "MPa", *MEAN_MODULUS[name], note=f"paper {theirs:.3g}")
+
+
+def human(study: Study) -> Iterator[Figure]:
+    """Table 1: the plate, the tip that would give the paper's point, and the mean."""
+    result = answer(study)
+    slope = one(rows(result, "moduli"), "our_slope_MPa_per_gf", indenter="flat_plate")
+    yield near("human flat plate, 1.0 mm: modulus per force", slope, "MPa/gf", PAPER_PLATE["human"])
+    tips = rows(result, "tip_radius")
+    yield tip(tips, "slope_MPa_per_gf", PAPER_POINT_SLOPE, f"tip radius that gives {PAPER_POINT_SLOPE:g} MPa/gf")
+    yield tip(tips, "ratio", PAPER_PLATE_OVER_POINT, f"tip radius that gives plate:point {PAPER_PLATE_OVER_POINT:g}")
+    yield mean("human", result)
+
+
+def tip(tips: Sequence[Row], column: str, level: float, figure: str) -> Figure:
+    """The radius at which a column of the table of tips crosses a level."""
+    radius = np.array([row["radius_mm"] for row in tips])
+    found = crossing(radius, np.array([row[column] for row in tips]), level) if len(tips) else None
+    tried = f"{radius.min():g} to {radius.max():g} mm tried" if len(tips) else "not converged"
+    return Figure(figure, math.nan if found is None else found, "mm", note=tried)
+
+
+def monkey(study: Study) -> Iterator[Figure]:
+    """Table 2: the plate, the three line rows beside the paper's, how the line's force grows, and the mean."""
+    result = answer(study)
+    found = rows(result, "moduli")
+    slope = one(found, "our_slope_MPa_per_gf", indenter="flat_plate", displacement_mm=MONKEY_TRAVEL)
+    yield near(f"monkey flat plate, {MONKEY_TRAVEL:g} mm: modulus per force", slope, "MPa/gf", PAPER_PLATE["monkey"])
+    lines = [row for row in found if row["indenter"] == "line"]
+    for row in lines:
+        beside = f"paper 1/{1 / row['paper_slope_MPa_per_gf']:.1f}, ours 1/{1 / row['our_slope_MPa_per_gf']:.1f}"
+        yield Figure(f"monkey line, {row['displacement_mm']:g} mm: modulus per force", row["our_slope_MPa_per_gf"], "MPa/gf", note=beside)
+    exponent = one(rows(result, "growth"), "exponent", indenter="line")
+    yield Figure("line's force grows with travel to the power", exponent, "1", note=f"paper's rows {growth(lines):.2f}")
+    yield mean("monkey", result)
+
+
+def growth(lines: Sequence[Row]) -> float:
+    """The exponent that the paper's own line rows imply, between the smallest and the largest travel."""
+    ends = sorted((row["displacement_mm"], 1 / row["paper_slope_MPa_per_gf"]) for row in lines)
+    if len(ends) < 2:
+        return math.nan
+    return math.log(ends[-1][1] / ends[0][1]) / math.log(ends[-1][0] / ends[0][0])
+
+
+def layers(study: Study) -> Iterator[Figure]:
+    """How many of the paper's findings about layers hold."""
+    found = rows(answer(study), "findings")
+    failing = "; ".join(row["finding"] for row in found if row["holds"] != "yes")
+    holding = sum(row["holds"] == "yes" for row in found) if found else math.nan
+    yield at_least("findings about layers that hold", holding, "1", max(len(found), 1), f"not: {failing}" if failing else "")
+
+
+def meshes(studies: dict[str, Study]) -> Iterator[Figure]:
+    """Size and quality of the meshes of both presets, without the refinement that an indenter asks for."""
+    for name, study in studies.items():
+        quality = finger_of(study).quality
+        yield between(f"{name} mesh, quadratic nodes", quality["nodes"], "1", 7500, 9500, f"{quality['tets']} elements")
+        yield Figure(f"{name} mesh, smallest dihedral angle", quality["min_dihedral_deg"], "deg", note=f"1 % below {quality['p1_dihedral_deg']:.1f}")
+        worst = max(quality["volume_error"].items(), key=lambda each: abs(each[1]))
+        yield at_most(f"{name} mesh, worst layer volume", 100 * abs(worst[1]), "%", 2.0, worst[0])
+
+
+def truth(case: str) -> dict[str, Any]:
+    """What a simulated laboratory was made with."""
+    said: dict[str, Any] = yaml.safe_load((TRUTHS / case / "truth.yaml").read_text(encoding="utf-8"))
+    return said
+
+
+def misfit(name: str, result: StudyResult) -> Figure:
+    """chi-square over its degrees of freedom; NaN where the fit did not settle."""
+    fitted = result.fit or {}
+    settled = bool(fitted.get("solver", {}).get("converged"))
+    value = fitted["chi2"] / fitted["dof"] if settled else math.nan
+    return Figure(f"{name}: chi2 over degrees of freedom", value, "1", note=f"chi2 {fitted['chi2']:.4g}, {fitted['dof']} dof" if settled else "")
+
+
+def layer_ratios(study: Study) -> Iterator[Figure]:
+    """Layer ratios recovered from profiles made by other code, beside the ratios they were made with."""
+    result, moduli = answer(study), truth("layer_ratios")["moduli_MPa"]
+    found = {row["layer"]: row for row in rows(result, "layer_ratios")}
+    covered = 0
+    for layer in SOFT_LAYERS[1:]:
+        true, row = moduli[layer] / moduli["epidermis"], found.get(layer)
+        covered += row is not None and row["lower"] <= true <= row["upper"]
+        error = math.nan if row is None else 100 * (row["ratio_to_epidermis"] / true - 1)
+        beside = "" if row is None else f"{row['ratio_to_epidermis']:.4g}, 95 % {row['lower']:.4g} to {row['upper']:.4g}; truth {true:.4g}"
+        yield Figure(f"layer ratios: {layer} over epidermis, error", error, "%", note=beside)
+    yield at_least("layer ratios: 95 % intervals that hold the truth", covered, "1", len(SOFT_LAYERS) - 1)
+    yield misfit("layer ratios", result)
+
+
+def afferent(study: Study) -> Iterator[Figure]:
+    """Scale and threshold of an SA-I afferent beside those that its rates were made with."""
+    result, receptor = answer(study), truth("sa1_bar")["receptor"]
+    yield misfit("SA-I bar", result)
+    known = (result.fit or {}).get("parameters", {})
+    for part, true in (("scale", receptor["scale_Hz_per_MPa"]), ("threshold", receptor["threshold_MPa"])):
+        estimate = known.get(f"bar_rates.{part}", {})
+        value, interval = estimate.get("value"), estimate.get("ci95", [None, None])
+        error = math.nan if value is None else 100 * (value / true - 1)
+        yield Figure(f"SA-I bar: {part}, error", error, "%", note="" if value is None else f"95 % {interval[0]:.4g} to {interval[1]:.4g}; truth {true:.4g}")
+
+
+def patch_test() -> Figure:
+    """Largest force inside a graded block under constant strain, over the largest force on it."""
+    shape = block((2.0, 1.0, 2.0), (4, 3, 4), grading=1.4)
+    nobody = np.zeros(len(shape.nodes), bool)
+    free = assemble_body(shape.nodes, shape.tets, shape.layer, nobody)
+    strain = np.array([[0.01, 0.004, -0.002], [0.003, -0.02, 0.006], [0.001, 0.005, 0.015]])
+    force = np.abs(np.asarray(internal_force(free, tissue().lame(), jnp.asarray(shape.nodes @ strain.T))))
+    low, high = shape.nodes.min(axis=0), shape.nodes.max(axis=0)
+    inside = np.all((shape.nodes > low + 1e-9) & (shape.nodes < high - 1e-9), axis=1)
+    return at_most("patch test: force inside under constant strain", force[inside].max() / force.max(), "1", 1e-10, f"{inside.sum()} nodes inside")
+
+
+def tissue() -> Any:
+    return material(dict.fromkeys(SOFT_LAYERS, 1.0), 0.48)
+
+
+def pressed(finger: Finger, sphere: Sphere, travel: float) -> tuple[Any, AbstractSolver, Columns, Any]:
+    """A body, its solver, the columns under a sphere on its middle, and the contact geometry there."""
+    at = (0.0, 0.5 * float(np.ptp(finger.nodes[:, 2])))
+    skin = pad_for(finger, [Indentation(sphere, at, travel)])
+    solid = body(finger)
+    return solid, solver_for(solid), columns_from_matrix(functionals(skin, len(finger.nodes))), interface(skin, sphere, at)
+
+
+def hertz(divisions: int) -> Figure:
+    """Force of a sphere on a block against F = 4/3 E* R^(1/2) d^(3/2) (Hertz 1882)."""
+    radius, travel, size = 20.0, 0.05, 60.0
+    shape = block((size, size, size), (divisions, divisions, divisions), grading=3.0)
+    solid, solver, columns, face = pressed(shape, Sphere(radius), travel)
+    force = float(press(compliance(solid, solver, tissue(), columns).matrix, face, travel=jnp.asarray(travel)).force)
+    exact = 4 / 3 / (1 - 0.48**2) * math.sqrt(radius) * travel**1.5
+    note = f"{len(shape.nodes)} nodes; block {size:g} mm, contact radius {math.sqrt(radius * travel):g} mm"
+    return at_most("Hertz: error of the force", 100 * abs(force / exact - 1), "%", 3.0, note)
+
+
+def derivative() -> Figure:
+    """Slope of a sphere's force in the logarithm of every modulus, against central differences."""
+    shape = block((8.0, 4.0, 8.0), (6, 4, 6), interfaces=(1.0, 2.0, 3.0))
+    solid, solver, columns, face = pressed(shape, Sphere(4.0), 0.3)
+
+    def force(log_modulus: jax.Array) -> jax.Array:
+        skin = dataclasses.replace(tissue(), youngs_modulus=jnp.exp(log_modulus))
+        return press(compliance(solid, solver, skin, columns).matrix, face, travel=jnp.asarray(0.3)).force
+
+    at, h = jnp.log(jnp.array([0.18, 0.018, 0.012, 0.03, 1.0])), 3e-4
+    exact = np.asarray(jax.jacfwd(force)(at))[: len(SOFT_LAYERS)]
+    steps = h * jnp.eye(len(at))[: len(SOFT_LAYERS)]
+    differences = np.array([float(force(at + step) - force(at - step)) / (2 * h) for step in steps])
+    worst = np.abs(exact - differences).max() / np.abs(exact).max()
+    return at_most("derivative of a force in every modulus, against differences", worst, "1", 1e-5, f"{len(shape.nodes)} nodes")
+
+
+def condensation(study: Study, count: int) -> Iterator[Figure]:
+    """Time to condense the monkey to a few columns by both solvers; no time is told where they disagree."""
+    assert isinstance(study.options, ForceTable)
+    plate = dataclasses.replace(study, measurements=measurements_of(study.options, "flat_plate"))
+    model = assemble(plate).model
+    columns = columns_from_matrix(model.columns.matrix().tocsc()[:, :count])
+    kinds = ["multigrid", *(["factorised"] if direct_available() else [])]
+    found = {kind: timed(model.body, solver_for(model.body, kind), model.materials({})[0], columns) for kind in kinds}
+    matrices = [matrix for matrix, _ in found.values()]
+    apart = max(float(np.abs(matrix - matrices[0]).max() / np.abs(matrices[0]).max()) for matrix in matrices)
+    if len(kinds) > 1:
+        yield at_most("condensation: two solvers apart", apart, "1", 1e-6)
+    for kind in kinds if apart <= 1e-6 else []:
+        note = f"{len(model.body.free)} nodes, {count} columns, compile time apart"
+        yield Figure(f"condensation, {kind}", found[kind][1], "s", note=note)
+
+
+def timed(solid: Any, solver: AbstractSolver, skin: Any, columns: Columns) -> tuple[np.ndarray, float]:
+    """The compliance matrix, and the seconds that a second, compiled call for another material takes."""
+    first = compliance(solid, solver, skin, columns).matrix.block_until_ready()
+    other = dataclasses.replace(skin, youngs_modulus=1.01 * skin.youngs_modulus)
+    began = time.perf_counter()
+    compliance(solid, solver, other, columns).matrix.block_until_ready()
+    return np.asarray(first), time.perf_counter() - began
+
+
+if __name__ == "__main__":
+    run(main)
