@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA warns at length of every program that it reads from its own cache
+
 import typer
 
 from fingerjax.commands.mesh import mesh

@@ -29,10 +29,10 @@ class Midsides(eqx.Module):
     parents: Int[Array, "nodes 2"]
     children: Incidence
 
-    def prolong(self, coarse: Field) -> Field:
+    def prolong(self, coarse: Float[Array, "corners 3"]) -> Field:
         return 0.5 * coarse[self.parents].sum(axis=1)
 
-    def restrict(self, fine: Field) -> Field:
+    def restrict(self, fine: Field) -> Float[Array, "corners 3"]:
         return self.children.accumulate(0.5 * jnp.repeat(fine, 2, axis=0))
 
 

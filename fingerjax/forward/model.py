@@ -143,8 +143,8 @@ def pressed(rig: Rig, bodies: list[Condensed]) -> tuple[Contact, Float[Array, "c
         return jax.tree.map(lambda leaf: leaf[pose], rig.interface)
 
     def push(interface: Interface, between: Array, imposed: Array, start: Array | None) -> Contact:
-        way = {"force": imposed} if rig.forced else {"travel": imposed}
-        return press(between, interface, start=start, **way)
+        force, travel = (imposed, None) if rig.forced else (None, imposed)
+        return press(between, interface, travel=travel, force=force, start=start)
 
     def settle(pose: Array, imposed: Array, variant: Array) -> tuple[Contact, Array]:
         columns = rig.columns[pose]

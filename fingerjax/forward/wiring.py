@@ -71,7 +71,7 @@ class Wiring:
     def labels(self, measurement: Measurement) -> list[tuple[tuple[str, str], ...]]:
         """Of each row: the labels of the columns named under `per`."""
         columns = [column for column in sorted(set(self.per.values())) if column in measurement.table]
-        texts = [np.asarray(measurement.table[column]).astype(str) for column in columns]
+        texts = [np.asarray(measurement.table[column]).astype(str).tolist() for column in columns]
         return [tuple(zip(columns, row, strict=True)) for row in zip(*texts, strict=True)] if texts else [()] * len(measurement)
 
 

@@ -101,7 +101,8 @@ def drivers(study: Study, table: ForceTable, tell: Callable[[float, str], object
     ]
     travel = plate_at(table).table["displacement"][0]
     title = f"What drives the modulus: flat plate, {travel:g} mm, one change at a time"
-    return Table("drivers", title, tidy, note=f"One mesh, {COARSER:g} times as coarse as the study's own, deformed to each variant."), notes(tidy)
+    note = f"One mesh, {COARSER:g} times as coarse as the study's own, deformed to each variant."
+    return Table("drivers", title, tidy, note=note), notes(tidy)
 
 
 def plate_at(table: ForceTable) -> Measurement:

@@ -13,7 +13,8 @@ import dataclasses
 import numpy as np
 
 from .._results import RESULTS
-from ..forward import Assembled, assemble
+from ..finger import Finger
+from ..forward import assemble
 from ..indenter_spec import IndenterSpec
 from ..measurements import Measurement
 from ..report import figures
@@ -32,14 +33,13 @@ def force_table(study: Study, context: Context) -> StudyResult:
     """Re-identify a table of forces row by row on this mesh, beside the published moduli."""
     table = study.options
     assert isinstance(table, ForceTable)
-    assembled, forces, why = _pressed_all(study, table, context)
+    fingers, forces, why = _pressed_all(study, table, context)
     title, verdict = study.notes.split(". ")[0] or "Moduli from forces", f"Not converged: {why.value} No modulus is reported."
     begun = StudyResult(study.name, title, verdict, RESULTS.not_converged, warnings=[why.value], notes=[study.notes])
-    begun = dataclasses.replace(begun, meshes={f"{one.solid.name}, {name}": mesh_record(one.finger) for name, one in assembled.items()})
+    begun = dataclasses.replace(begun, meshes={f"{one.name}, {name}": mesh_record(one) for name, one in fingers.items()})
     if why is not RESULTS.successful:
         return begun
-    modulus = next(iter(assembled.values())).model.wired.fixed["epidermis.modulus"]
-    result = _result(begun, table, forces, modulus)
+    result = _result(begun, table, forces, study.model.moduli()["epidermis"])
     return _driven(result, study, table, context) if table.drivers else result
 
 
@@ -49,28 +49,31 @@ def _driven(result: StudyResult, study: Study, table: ForceTable, context: Conte
     return dataclasses.replace(result, tables=[*result.tables, driving], notes=[*result.notes, *told])
 
 
-def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dict[str, Assembled], dict[str, np.ndarray], RESULTS]:
-    """Each indenter on a mesh of its own, fine where that one needs it: the meshes, the forces, and how it ended."""
-    assembled: dict[str, Assembled] = {}
+def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dict[str, Finger], dict[str, np.ndarray], RESULTS]:
+    """Each indenter and each tip on a mesh of its own, fine where that one needs it: the meshes, the forces, and how it ended."""
+    fingers: dict[str, Finger] = {}
     forces: dict[str, np.ndarray] = {}
-    for number, name in enumerate(table.indenters):
-        context.tell(0.02 + ((DRIVERS_FROM if table.drivers else 0.98) - 0.02) * number / len(table.indenters), name)
-        assembled[name] = assemble(dataclasses.replace(study, measurements=measurements_of(table, name)))
-        prediction = assembled[name].predict()
+    wanted, until = measurements_of(table), DRIVERS_FROM if table.drivers else 0.98
+    for number, one in enumerate(wanted):
+        context.tell(0.02 + (until - 0.02) * number / len(wanted), one.name)
+        assembled = assemble(dataclasses.replace(study, measurements=(one,)))
+        fingers[one.name], prediction = assembled.finger, assembled.predict()
         why = complaint(prediction)
         if why is not RESULTS.successful:
-            return assembled, forces, why
-        readings = zip(assembled[name].study.measurements, prediction.readings, strict=True)
-        forces |= {one.name: np.asarray(reading) for one, reading in readings}
-    return assembled, forces, RESULTS.successful
+            return fingers, forces, why
+        forces[one.name] = np.asarray(prediction.readings[0])
+    return fingers, forces, RESULTS.successful
 
 
-def measurements_of(table: ForceTable, name: str) -> tuple[Measurement, ...]:
-    """The indentations of one indenter, and those of every radius that is tried, at the travel of its first row."""
-    rows = [row for row in table.rows if row.indenter == name]
-    radii = table.radii.get(name, ()) if rows else ()
-    tips = [_pressed(_tip(name, radius), _with_radius(table.indenters[name], radius), rows[:1]) for radius in radii]
-    return tuple(one for one in (_pressed(name, table.indenters[name], rows), *tips) if len(one))
+def measurements_of(table: ForceTable) -> tuple[Measurement, ...]:
+    """The indentations of every indenter, and those of each radius that is tried, at the travel of its indenter's first row."""
+    found = []
+    for name, spec in table.indenters.items():
+        rows = [row for row in table.rows if row.indenter == name]
+        radii = [radius for radius in table.radii.get(name, ()) if rows and radius != spec.dimensions["radius"]]
+        found += [_pressed(name, spec, rows)] if rows else []
+        found += [_pressed(_tip(name, radius), _with_radius(spec, radius), rows[:1]) for radius in radii]
+    return tuple(found)
 
 
 def _pressed(name: str, spec: IndenterSpec, rows: list[TableRow]) -> Measurement:
@@ -126,7 +129,7 @@ def _tips(table: ForceTable, forces: dict[str, np.ndarray], modulus: float) -> l
         first = next(row for row in table.rows if row.indenter == name)
         plate = _plate_force(table, forces, first.displacement)
         for radius in radii:
-            force = float(forces[_tip(name, radius)][0])
+            force = float(forces.get(_tip(name, radius), forces[name])[0])
             row: Row = {"radius_mm": radius, "slope_MPa_per_gf": modulus / force * GRAM_FORCE}
             found.append(row if plate is None else {**row, "ratio": plate / force})
     return found
