@@ -60,7 +60,7 @@ def main(quick: bool) -> Iterator[Figure]:
     yield patch_test()
     yield hertz(10 if quick else 16)
     yield derivative(studies["table2"])
-    yield from condensation(studies["table2"], 8 if quick else 32)
+    yield from condensation(studies["table2"], 4 if quick else 8)
 
 
 def answer(study: Study) -> StudyResult:

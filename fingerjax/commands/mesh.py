@@ -85,7 +85,7 @@ def draw_cuts(path: Path, finger: Any) -> None:
         handles=[Swatch(facecolor=TINTS[k], label=LAYERS[k]) for k in np.unique(finger.layer)],
         loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8,
     )  # fmt: skip
-    canvas.savefig(path, dpi=150)
+    canvas.savefig(path, dpi=100)
 
 
 def _paint(
