@@ -73,11 +73,13 @@ def block(
 
 def _icosphere(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Points of a unit sphere and outward triangles: an icosahedron, each face cut `n` times into four."""
-    from trimesh.creation import icosphere
+    import pyvista
 
-    sphere = icosphere(subdivisions=n, radius=1.0)
-    points = np.asarray(sphere.vertices, float)
-    return points / np.linalg.norm(points, axis=1, keepdims=True), np.asarray(sphere.faces, np.int64)
+    sphere = pyvista.Icosphere(radius=1.0, nsub=n)
+    points, faces = np.array(sphere.points, float), np.array(sphere.faces, np.int64).reshape(-1, 4)[:, 1:]
+    outward = np.einsum("fi,fi->f", np.cross(points[faces[:, 1]], points[faces[:, 2]]), points[faces[:, 0]]) > 0
+    faces[~outward] = faces[~outward][:, ::-1]
+    return points / np.linalg.norm(points, axis=1, keepdims=True), faces
 
 
 def sphere_shell(inner: float = 1.0, outer: float = 2.0, n: int = 2, shells: int = 4) -> Finger:
