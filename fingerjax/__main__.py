@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA warns at length of every program that it reads from its own cache
+# Programs that hold batches of small dense solves have been seen to wait for ever on XLA's own two threads. The heavy linear algebra
+# is the factorisation's, which has threads of its own.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
 
 import typer
 

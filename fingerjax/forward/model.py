@@ -80,7 +80,8 @@ class Model(eqx.Module):
     def solved(self, values: Values) -> Model:
         """The same model with the linear solves at these values done: it holds there, and so do its derivatives."""
         found = tuple(known(self.solver, self.body, tissue.lame(), self.columns) for tissue in self.materials(values))
-        return dataclasses.replace(self, known=found)
+        # Without its solver, whose host memory compiled code would otherwise keep alive as part of its key.
+        return dataclasses.replace(self, known=found, solver=found[0])
 
     def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
         """Every reading at these values; names that are missing keep the study's own.
