@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import jax
 import typer
@@ -142,11 +142,17 @@ def _run_one(study: Study, folder: RunFolder, data: Path | None, board: Board) -
     result = runner(study)(study, context)
     if result.result is RESULTS.interrupted:
         raise KeyboardInterrupt
-    result = dataclasses.replace(result, name=study.name, seconds=time.perf_counter() - began)
+    result = dataclasses.replace(result, name=study.name, resolved=resolved(study), seconds=time.perf_counter() - began)
     folder.keep(key, result)
     board.teller(study.name)(1.0, "done")
     board.line(f"{study.name} ({clock(result.seconds)}): {result.verdict}")
     return result
+
+
+def resolved(study: Study) -> dict[str, Any]:
+    """The study as it was written, with the defaults of its finger and model filled in."""
+    filled = {"finger": study.finger.model_dump(exclude_none=True), "model": study.model.model_dump(exclude_none=True)}
+    return {**study.written, "kind": study.kind, **filled}
 
 
 def runner(study: Study) -> Runner:
