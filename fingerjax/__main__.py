@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA warns at length of every program that it reads from its own cache
-# Programs that hold batches of small dense solves have been seen to wait for ever on XLA's own two threads. The heavy linear algebra
-# is the factorisation's, which has threads of its own.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+# Threads of XLA's own. jaxlib's dense solves wait on these for one another, and on two cores two of them could wait for ever.
+os.environ.setdefault("NPROC", "16")
 
 import typer
 

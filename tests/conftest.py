@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # as the program itself sets it
+os.environ.setdefault("NPROC", "16")  # as the program itself sets it
 
 import jax
 import pytest

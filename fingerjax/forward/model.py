@@ -158,10 +158,12 @@ def pressed(rig: Rig, bodies: list[Condensed]) -> tuple[Contact, Float[Array, "c
         contact = push(shifted, C[variant][columns[:, None], columns[None, :]], imposed, active)
         return contact, C[variant][:, columns] @ contact.nodal_forces + change
 
-    first, forces = jax.lax.stop_gradient(jax.vmap(settle)(rig.pose, rig.imposed, rig.variant))
+    # One case after the other: jaxlib's batched dense solves wait for one another on XLA's own threads, and two at once can take them all.
+    cases = (rig.pose, rig.imposed, rig.variant)
+    first, forces = jax.lax.stop_gradient(jax.lax.map(lambda case: settle(*case), cases))
     changes = jnp.stack([each.changes(forces) for each in bodies])
     change = changes[rig.variant, jnp.arange(len(rig.variant))]
-    return jax.vmap(carry)(rig.pose, rig.imposed, rig.variant, first.active, change)
+    return jax.lax.map(lambda case: carry(*case), (*cases, first.active, change))
 
 
 class Residuals(eqx.Module):
