@@ -26,33 +26,44 @@ class Assembled:
     """
 
     def __init__(self, body: Body, *, upper: bool):
-        tets = np.asarray(body.tets)
-        dofs = (3 * tets[:, :, None] + np.arange(3)).reshape(len(tets), -1)
+        tets, nodes = np.asarray(body.tets), len(body.free)
         self.free = np.flatnonzero(np.repeat(np.asarray(body.free) > 0, 3))
-        number = np.full(3 * len(body.free), -1)
-        number[self.free] = np.arange(len(self.free))
-        local = number[dofs]
-        row = np.repeat(local, local.shape[1], axis=1).ravel()
-        column = np.tile(local, local.shape[1]).ravel()
-        keep = (row >= 0) & (column >= row) if upper else (row >= 0) & (column >= 0)
-        self._keep = np.flatnonzero(keep)
-        key = row[self._keep] * len(self.free) + column[self._keep]
-        unique, self._slot = np.unique(key, return_inverse=True)
-        self._indices = (unique % len(self.free)).astype(np.int32)
-        counts = np.bincount(unique // len(self.free), minlength=len(self.free))
-        self._indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        # The pattern is found between nodes, nine times fewer than the numbers in it.
+        row, column = np.repeat(tets, tets.shape[1], axis=1).ravel(), np.tile(tets, tets.shape[1]).ravel()
+        pairs, block = np.unique(row.astype(np.int64) * nodes + column, return_inverse=True)
+        self._slot = _entries(block.reshape(len(tets), tets.shape[1], tets.shape[1]))
+        self._count = 9 * len(pairs)
+        self._pattern = _positions(pairs, nodes)[self.free][:, self.free]
+        if upper:
+            self._pattern = sp.triu(self._pattern, format="csr")
+        self._pattern.sort_indices()
         self._volumetric, self._shear = element_matrices(body)
         self._layer = np.asarray(body.layer)
 
     def matrix(self, lame: np.ndarray) -> sp.csr_matrix:
         """The stiffness, N/mm, for Lame parameters (2, layers), MPa."""
         lam, mu = np.asarray(lame)[:, self._layer, None, None]
-        values = (lam * self._volumetric + mu * self._shear).ravel()[self._keep]
-        data = np.bincount(self._slot, weights=values, minlength=len(self._indices))
-        return sp.csr_matrix((data, self._indices, self._indptr), shape=(len(self.free),) * 2)
+        values = (lam * self._volumetric + mu * self._shear).ravel()
+        summed = np.bincount(self._slot, weights=values, minlength=self._count)
+        pattern = self._pattern
+        return sp.csr_matrix((summed[pattern.data - 1], pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def part(self, layer: int, modulus: int) -> sp.csr_matrix:
         """The stiffness per unit of one Lame parameter (0 first, 1 shear) of one layer."""
         lame = np.zeros((2, int(self._layer.max()) + 1))
         lame[modulus, layer] = 1.0
         return self.matrix(lame)
+
+
+def _entries(block: np.ndarray) -> np.ndarray:
+    """Where each entry of the element matrices (e, 3a, 3a), flattened, is summed: its node pair's block (e, a, a), then row and column."""
+    within = 3 * np.arange(3)[:, None] + np.arange(3)
+    # e element, a and b nodes, i and j directions
+    return (9 * block[:, :, None, :, None] + within[None, None, :, None, :]).ravel()
+
+
+def _positions(pairs: np.ndarray, nodes: int) -> sp.csr_matrix:
+    """A matrix whose entries say, counted from one, where in the sum over blocks each of them lies."""
+    rows = np.concatenate([[0], np.cumsum(np.bincount(pairs // nodes, minlength=nodes))])
+    numbers = np.arange(1, 9 * len(pairs) + 1).reshape(-1, 3, 3)
+    return sp.bsr_matrix((numbers, pairs % nodes, rows), shape=(3 * nodes, 3 * nodes)).tocsr()
