@@ -101,8 +101,9 @@ def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2
 
     **Arguments:**
 
-    - `bone`: `"rigid"` holds the bone's surface still and leaves its elements out (changes a force by 1e-5 and saves two thirds of the
-      iterations); `"elastic"` meshes it and holds the nail alone.
+    - `bone`: `"rigid"` holds the bone's surface still and leaves its elements out, which saves two thirds of the iterations;
+      `"elastic"` meshes it and holds the nail alone. A stiff bone that is held gives the same forces as a rigid one to 1e-5, one that
+      is free to move with the finger does not: under a plate it makes the finger up to half as soft again.
     - `order`: 2 for quadratic tetrahedra, 1 for linear ones on the same corners.
     - `degree`: of the quadrature; 2 (four points) is exact where elements are straight and keeps the order of convergence where not.
     """
