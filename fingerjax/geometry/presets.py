@@ -13,7 +13,8 @@ Every number is a measured or published dimension or an assumption said to be on
   towards the nail. They are shortened towards the tip too, by their own thickness, for a layer scaled within
   its sections only would shrink to nothing there.
 - Assumed: sections are ellipses 12 % wider towards the pad and narrower towards the nail, height 0.98 of the
-  width (as one scanned index fingertip is; an earlier 0.86 gave stiffer plates), length 25 and 16.5 mm, bone centre 0.18 of the height above the middle, fibrous matrix out to 0.6 of
+  width (as one scanned index fingertip is; an earlier 0.86 gave stiffer plates), length 25 and 16.5 mm,
+  bone centre 0.18 of the height above the middle, fibrous matrix out to 0.6 of
   the section's radius, bone to 0.82 of the length, nail over 0.42-0.88 of the length and 50-130 deg.
 """
 
