@@ -20,9 +20,11 @@ import yaml
 
 from benchmarks._record import Figure, at_least, at_most, between, run
 from fingerjax.commands.mesh import finger_of
+from fingerjax.contact.footprint import Interface, interface
 from fingerjax.contact.indentation import press
 from fingerjax.contact.indenter import Sphere
-from fingerjax.contact.pad import Indentation, Interface, functionals, interface, pad_for
+from fingerjax.contact.pad import functionals
+from fingerjax.contact.reach import Indentation, pad_for
 from fingerjax.fem.body import Body, Material, assemble_body, body, material
 from fingerjax.fem.columns import Columns, columns_from_matrix
 from fingerjax.fem.operator import internal_force
@@ -227,7 +229,7 @@ class Pressed:
         at = (0.0, 0.5 * float(np.ptp(finger.nodes[:, 2])))
         skin = pad_for(finger, [Indentation(sphere, at, travel)])
         columns = columns_from_matrix(functionals(skin, len(finger.nodes)))
-        return cls(body(finger), columns, interface(skin, sphere, at), travel)
+        return cls(body(finger, bone="held"), columns, interface(skin, sphere, at), travel)
 
     def force(self, matrix: jax.Array) -> jax.Array:
         """N, where readings per unit load are `matrix`."""

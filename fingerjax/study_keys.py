@@ -22,6 +22,7 @@ EPIDERMIS = 0.18
 scale.
 """
 POISSON_RATIO = 0.48
+RIGID_BONES = ("rigid", "held")  # a piece that the tissue carries; one that does not move
 RIGID_DECADES = 3
 
 
@@ -140,11 +141,11 @@ class Model(Strict):
     @field_validator("bone")
     @classmethod
     def _rigid_or_modulus(cls, bone: Any) -> float | str | None:
-        if bone is None or bone == "rigid":
+        if bone is None or bone in RIGID_BONES:
             return bone
         if isinstance(bone, str) and not bone[:1].isdigit():
-            remedy = "write rigid, or a modulus in MPa, or one with its unit: 17 GPa"
-            raise InputError("neither rigid nor a modulus", seen=bone, remedy=remedy)
+            remedy = "write rigid, or held, or a modulus in MPa, or one with its unit: 17 GPa"
+            raise InputError("neither rigid, held nor a modulus", seen=bone, remedy=remedy)
         modulus = read_quantity(bone, "pressure", "bone")
         if not 0 < modulus < float("inf"):
             raise InputError("a modulus that is not positive", seen=bone, remedy="write one above 0 MPa")
@@ -201,7 +202,7 @@ class Model(Strict):
         Not said, it is rigid; with a ratio model whose bone is less than three decades above its stiffest
         tissue, it has the modulus that the model gives it (m33333 is homogeneous all through).
         """
-        if self.bone == "rigid" or (self.bone is None and self.ratios is None):
+        if self.bone in RIGID_BONES or (self.bone is None and self.ratios is None):
             return None
         if self.bone is not None:
             return float(self.bone)
@@ -209,6 +210,12 @@ class Model(Strict):
         if decades["bone"] - max(decades[layer] for layer in SOFT_LAYERS) >= RIGID_DECADES:
             return None
         return ratio_moduli(str(self.ratios), self.epidermis_MPa or EPIDERMIS)["bone"]
+
+    def bone_kind(self) -> str:
+        """`rigid` where the tissue carries the bone as one piece, `held` where it does not move, or `elastic`."""
+        if self.bone_modulus() is not None:
+            return "elastic"
+        return self.bone or "rigid"
 
     def has_layered_poisson_ratio(self) -> bool:
         """Whether every layer has its own Poisson's ratio."""

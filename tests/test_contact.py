@@ -7,9 +7,10 @@ import pytest
 from halfspace import compliance, lattice
 
 from fingerjax.contact.complementarity import complementary
+from fingerjax.contact.footprint import interface
 from fingerjax.contact.indentation import press
 from fingerjax.contact.indenter import Cylinder, FlatCylinder, Line, Sphere
-from fingerjax.contact.pad import interface, pad
+from fingerjax.contact.pad import pad
 
 MODULUS, EDGE = 1.7, 1.0 / 3.0  # E* in MPa; three facet edges to a millimetre
 SKIN = lattice(10, EDGE)

@@ -6,7 +6,7 @@ for a bonded layer), so the force is compared with
 
     F = 4/3 E/(1 - nu^2) sqrt(R d^3) (1 + correction in sqrt(R d)/thickness)
 
-where the correction is 9 to 12 % here. Two to three facet edges lie on a contact radius, good for a per cent or two (contact/pad.py).
+where the correction is 9 to 12 % here. Two to three facet edges lie on a contact radius, good for a per cent or two (contact/footprint.py).
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fingerjax.contact.footprint import interface
 from fingerjax.contact.indentation import Contact, press
 from fingerjax.contact.indenter import Sphere
-from fingerjax.contact.pad import Indentation, Pad, functionals, interface, pad_for
+from fingerjax.contact.pad import Pad, functionals
+from fingerjax.contact.reach import Indentation, pad_for
 from fingerjax.fem.body import Body, body, material
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.operator import internal_force
@@ -51,7 +53,7 @@ class Pressed:
     def __init__(self) -> None:
         finger = block((WIDTH, THICKNESS, WIDTH), (16, 6, 16), grading=2.0)
         self.sphere, self.origin = Sphere(RADIUS), (0.0, WIDTH / 2)
-        self.body: Body = body(finger)
+        self.body: Body = body(finger, bone="held")
         self.pad: Pad = pad_for(finger, [Indentation(self.sphere, self.origin, max(DEPTHS))])
         self.solver = solver_for(self.body)
         columns = columns_from_matrix(functionals(self.pad, len(finger.nodes)))

@@ -6,18 +6,11 @@ import numpy as np
 import pytest
 from halfspace import lattice
 
+from fingerjax.contact.footprint import first_contact, interface
 from fingerjax.contact.indenter import Bar, FlatCylinder, FlatPlate, Line, Sphere
-from fingerjax.contact.pad import (
-    Indentation,
-    first_contact,
-    functionals,
-    interface,
-    pad,
-    pad_for,
-    surface_functionals,
-    surface_y,
-    windows,
-)
+from fingerjax.contact.locate import surface_functionals, surface_y
+from fingerjax.contact.pad import functionals, pad
+from fingerjax.contact.reach import Indentation, pad_for, windows
 from fingerjax.errors import InputError
 
 BOWL = lattice(

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from fingerjax.contact.complementarity import complementary, held
-from fingerjax.contact.pad import Interface
+from fingerjax.contact.footprint import Interface
 
 # Share of the force that would close a hat's gap, at which area is read off: with it Hertz's contact radius
 # on 2 to 5 facet edges is right to 1 % wherever the mesh lies (1 would put it an eighth of an edge too

@@ -11,6 +11,7 @@ from ..finger import Finger
 from ..layers import BONE, LAYERS
 from . import element
 
+BONES = ("rigid", "held", "elastic")
 STRAIGHT = 1e-10  # midsides this close to the chord, relative to its length, make a straight element
 
 
@@ -73,7 +74,8 @@ def _padded_rows(part: np.ndarray, by_node: np.ndarray, start: np.ndarray, valen
 class Body(eqx.Module):
     """Elements, supports and geometry; every array is a leaf, so that a body is an argument of compiled code, never a constant.
 
-    - `tets` (e, a), `layer` (e,), `free` (n,): 1 where a node may move, 0 on the nail and on a rigid bone.
+    - `tets` (e, a), `layer` (e,), `free` (n,): 1 where a node moves on its own, 0 on the nail and on a rigid bone.
+    - `modes` (6 or 0, n, 3): orthonormal rigid motions of a bone that the tissue carries, zero elsewhere; none where it is held.
     - `slopes` (q, a, 3): reference gradients; `inverse` (e, q or 1, 3, 3): d reference / d position, 1/mm;
       `weight` (e, q): quadrature weight times Jacobian, mm^3.
     """
@@ -81,6 +83,7 @@ class Body(eqx.Module):
     tets: Int[Array, "elements corners"]
     layer: Int[Array, " elements"]
     free: Float[Array, " nodes"]
+    modes: Float[Array, "modes nodes 3"]
     nodes: Float[Array, "nodes 3"]
     slopes: Float[Array, "points corners 3"]
     inverse: Float[Array, "elements _ 3 3"]
@@ -97,32 +100,49 @@ class Body(eqx.Module):
 
 
 def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2) -> Body:
-    """Prepare a finger for the solvers.
+    """Prepare a finger for the solvers. The nail is held in every case, as it was glued to the table.
 
     **Arguments:**
 
-    - `bone`: `"rigid"` holds the bone's surface still and leaves its elements out, which saves two thirds of the iterations;
-      `"elastic"` meshes it and holds the nail alone. A stiff bone that is held gives the same forces as a rigid one to 1e-5, one that
-      is free to move with the finger does not: under a plate it makes the finger up to half as soft again.
+    - `bone`: `"rigid"` moves as one piece, carried by the tissue around it, and its elements are left out; `"held"` is rigid and does
+      not move at all; `"elastic"` meshes it. A rigid bone gives the forces of a very stiff elastic one, a held one does not: under a
+      plate it makes the finger up to twice as stiff.
     - `order`: 2 for quadratic tetrahedra, 1 for linear ones on the same corners.
     - `degree`: of the quadrature; 2 (four points) is exact where elements are straight and keeps the order of convergence where not.
     """
     if jnp.ones(()).dtype != jnp.float64:
         raise RuntimeError("fingerjax computes in float64: call jax.config.update('jax_enable_x64', True) before anything else")
-    finger = finger.without_bone() if bone == "rigid" else finger
-    held = finger.nail | finger.bone if bone == "rigid" else finger.nail
-    tets, nodes = (finger.tets, finger.nodes) if order == 2 else _corners_only(finger)
-    held = held if order == 2 else held[np.unique(finger.tets[:, :4])]
-    return assemble_body(nodes, tets, finger.layer, held, degree)
+    if bone not in BONES:
+        raise ValueError(f"unknown bone {bone!r}; choose one of {', '.join(BONES)}")
+    finger = finger if bone == "elastic" else finger.without_bone()
+    tets, nodes, nail, hard = finger.tets, finger.nodes, finger.nail, finger.bone
+    if order == 1:
+        used, tets = np.unique(finger.tets[:, :4], return_inverse=True)
+        tets, nodes, nail, hard = tets.reshape(-1, 4), nodes[used], nail[used], hard[used]
+    carried = hard & ~nail if bone == "rigid" else np.zeros(len(nodes), bool)
+    held = nail | hard if bone == "held" else nail
+    if not held.any():
+        raise ValueError(f"nothing holds the body {finger.name!r}: mark its nail, or hold its bone with bone='held'")
+    return assemble_body(nodes, tets, finger.layer, held, degree, carried)
 
 
-def _corners_only(finger: Finger) -> tuple[np.ndarray, np.ndarray]:
-    used, tets = np.unique(finger.tets[:, :4], return_inverse=True)
-    return tets.reshape(-1, 4), finger.nodes[used]
+def rigid_modes(nodes: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    """Orthonormal rigid motions (6, n, 3) of the marked nodes (n,), zero on all others; none (0, n, 3) where no node is marked."""
+    modes = np.zeros((6 if carried.any() else 0, len(nodes), 3))
+    if carried.any():
+        arm = nodes[carried] - nodes[carried].mean(axis=0)
+        turns = [np.cross(axis, arm) for axis in np.eye(3)]
+        shifts = [np.broadcast_to(axis, arm.shape) for axis in np.eye(3)]
+        basis, _ = np.linalg.qr(np.stack([*shifts, *turns]).reshape(6, -1).T)
+        modes[:, carried] = basis.T.reshape(6, -1, 3)
+    return modes
 
 
-def assemble_body(nodes: np.ndarray, tets: np.ndarray, layer: np.ndarray, held: np.ndarray, degree: int = 2) -> Body:
-    """A body from bare arrays: nodes (n, 3) mm, tets (e, 4 or 10), layer (e,), held (n,) bool."""
+def assemble_body(
+    nodes: np.ndarray, tets: np.ndarray, layer: np.ndarray, held: np.ndarray, degree: int = 2, carried: np.ndarray | None = None
+) -> Body:
+    """A body from bare arrays: nodes (n, 3) mm, tets (e, 4 or 10), layer (e,), held (n,) bool; `carried` nodes move as one rigid piece."""
+    carried = np.zeros(len(nodes), bool) if carried is None else np.asarray(carried)
     order = 1 if tets.shape[1] == 4 else 2
     points, weights = element.quadrature(1 if order == 1 else degree)
     slopes = element.slopes(points, order)
@@ -137,7 +157,8 @@ def assemble_body(nodes: np.ndarray, tets: np.ndarray, layer: np.ndarray, held: 
     return Body(
         tets=jnp.asarray(tets, jnp.int32),
         layer=jnp.asarray(layer, jnp.int32),
-        free=jnp.asarray(~np.asarray(held), float),
+        free=jnp.asarray(~(np.asarray(held) | carried), float),
+        modes=jnp.asarray(rigid_modes(nodes, carried)),
         nodes=jnp.asarray(nodes),
         slopes=jnp.asarray(slopes),
         inverse=jnp.asarray(inverse),

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .body import Body, Material
+from .carried import admissible
 from .columns import Columns
 from .krylov import Field, Solution
-from .operator import Lame, apply
+from .operator import Lame, internal_force
 from .solver import AbstractSolver
 
 
@@ -57,7 +58,7 @@ def _condensed_jvp(primals: tuple, tangents: tuple) -> tuple:
     if tangents[0] is None:
         return out, (None, None, None, None)
     X = solution.displacement
-    KX = jax.lax.map(lambda u: apply(body, tangents[0], u), X, batch_size=min(4, X.shape[0]))
+    KX = jax.lax.map(lambda u: internal_force(body, tangents[0], u), X, batch_size=min(4, X.shape[0]))
     return out, (-jnp.einsum("mni,kni->mk", X, KX), None, None, None)
 
 
@@ -82,7 +83,7 @@ class Condensed(eqx.Module):
         X = self.influence.reshape(len(self.influence), -1)  # plain matrix products: XLA is slow at others on a CPU
         u = (forces @ X).reshape(-1, *self.influence.shape[1:])
         away = self.lame - jax.lax.stop_gradient(self.lame)
-        moved = jax.lax.map(lambda each: apply(self.body, away, each), u)
+        moved = jax.lax.map(lambda each: internal_force(self.body, away, each), u)
         return -(moved.reshape(len(u), -1) @ X.T)
 
 
@@ -103,11 +104,12 @@ def displacement(body: Body, solver: AbstractSolver, material: Material, load: F
         return solution.displacement[0], (solution.iterations[0], solution.residual[0], solution.converged[0])
 
     u, (iterations, residual, converged) = jax.lax.custom_linear_solve(
-        lambda v: _with_supports(body, lame, v), body.free[:, None] * load, solve, symmetric=True, has_aux=True
+        lambda v: _with_supports(body, lame, v), admissible(body, load), solve, symmetric=True, has_aux=True
     )
     return Solution(u, iterations, residual, converged)
 
 
 def _with_supports(body: Body, lame: Lame, v: Field) -> Field:
-    """The stiffness on free nodes and the identity on supports, so that the operator can be inverted."""
-    return apply(body, lame, v) + (1 - body.free[:, None]) * v
+    """The stiffness between admissible displacements and the identity on the rest, so that the operator can be inverted."""
+    u = admissible(body, v)
+    return admissible(body, internal_force(body, lame, u)) + (v - u)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from .assembly import Assembled
 from .body import Body
+from .carried import NodalForces, bone_loads, let_go
 from .columns import Columns
 from .krylov import Field, Solution, conjugate_gradients
 from .multigrid import Hierarchy, hierarchy, preconditioner
@@ -34,12 +35,17 @@ class AbstractSolver(eqx.Module):
     """Finds displacements (m, n, 3), mm, under nodal forces (m, n, 3), N, for one body and given Lame parameters."""
 
     @abc.abstractmethod
+    def held(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+        """Solve for every load with a rigid bone held where it is; forces on supports are ignored."""
+
     def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
-        """Solve for every load; forces on supports are ignored."""
+        """Solve for every load; the tissue carries a rigid bone along where the body says so."""
+        together = jnp.concatenate([loads, bone_loads(body, lame)])
+        return let_go(body, lame, NodalForces(loads), self.held(body, lame, together))
 
     def influence(self, body: Body, lame: Lame, columns: Columns) -> Solution:
         """The displacements `K^-1 B` under the unit loads of all columns."""
-        return self.solve(body, lame, body.free[:, None] * columns.loads())
+        return self.solve(body, lame, columns.loads())
 
 
 class MultigridCG(AbstractSolver):
@@ -55,7 +61,7 @@ class MultigridCG(AbstractSolver):
     max_steps: int = eqx.field(static=True, default=500)
     batch: int = eqx.field(static=True, default=2)
 
-    def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+    def held(self, body: Body, lame: Lame, loads: Fields) -> Solution:
         cycle = preconditioner(body, self.frozen, lame)
 
         def one(load: Field) -> Solution:
@@ -66,6 +72,7 @@ class MultigridCG(AbstractSolver):
         return jax.lax.map(one, loads, batch_size=min(self.batch, loads.shape[0]))
 
 
+FACTORISED = 1e-9  # relative residual of a factorisation that went well
 PROBES = 8  # random combinations of all loads in which a factorisation's residual is measured
 
 
@@ -75,22 +82,23 @@ class _Host:
     def __init__(self, body: Body):
         self.assembled = Assembled(body, upper=True)
         self.nodes = len(body.free)
-        self._last: tuple[Array, np.ndarray, tuple[Array, float]] | None = None
+        self._last: tuple[Array, np.ndarray, Solution] | None = None
 
-    def under(self, lame: np.ndarray, columns: Columns) -> tuple[Array, float]:
-        """Displacements (m, n, 3) under all columns; those of the last moduli are kept, for fits that move something else."""
+    def under(self, body: Body, lame: np.ndarray, columns: Columns) -> Solution:
+        """What all columns do; the answer at the last moduli is kept, for fits that move something else."""
         if self._last is None or self._last[0] is not columns.weight or not np.array_equal(self._last[1], lame):
             self._last = None
-            right = np.asfortranarray(columns.matrix()[self.assembled.free].toarray())
-            x, residual = self.direct(lame, right)
-            self._last = (columns.weight, lame.copy(), (jnp.asarray(x), residual))
+            known = jnp.asarray(lame)
+            bone = np.asarray(bone_loads(body, known)).reshape(len(body.modes), 3 * self.nodes)
+            right = np.hstack([columns.matrix()[self.assembled.free].toarray(), bone[:, self.assembled.free].T])
+            solution = _checked(*self.direct(lame, np.asfortranarray(right)))
+            self._last = (columns.weight, lame.copy(), let_go(body, known, columns, solution))
         return self._last[2]
 
-    def solve(self, lame: Array | np.ndarray, loads: Array | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements (m, n, 3) under loads (m, n, 3), and the relative residual (m,)."""
-        flat = np.asarray(loads).reshape(len(loads), -1)
-        x, residual = self.direct(np.asarray(lame), np.asfortranarray(flat[:, self.assembled.free].T))
-        return x, np.full(len(loads), residual)
+    def solve(self, lame: Array | np.ndarray, loads: Array | np.ndarray) -> tuple[np.ndarray, float]:
+        """Displacements (m, n, 3) under loads (m, n, 3), and the relative residual of them all."""
+        flat = np.asarray(loads).reshape(len(loads), 3 * self.nodes)
+        return self.direct(np.asarray(lame), np.asfortranarray(flat[:, self.assembled.free].T))
 
     def direct(self, lame: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
         """Displacements (m, n, 3) under loads (free, m) between free degrees of freedom, and the residual of them all."""
@@ -117,28 +125,30 @@ def _probed(upper: sp.csr_matrix, x: np.ndarray, right: np.ndarray) -> float:
     return float(np.max(np.linalg.norm(remainder, axis=0) / np.where(norm > 0, norm, 1.0)))
 
 
+def _checked(displacement: np.ndarray, residual: float) -> Solution:
+    each = jnp.full(len(displacement), residual)
+    return Solution(jnp.asarray(displacement), jnp.ones(len(each), int), each, each <= 10 * FACTORISED)
+
+
 class Factorised(AbstractSolver):
     """Sparse Cholesky by MKL PARDISO on the host. Needs the extra: `pip install fingerjax[direct]`."""
 
     host: _Host = eqx.field(static=True)
-    tolerance: float = eqx.field(static=True, default=1e-9)
 
-    def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+    def held(self, body: Body, lame: Lame, loads: Fields) -> Solution:
         # Known numbers are solved for at once. A callback from compiled code is for traced ones only: compiled programs that hold one
         # are not kept between runs, and large arrays handed to one can wait for ever on a machine of two cores.
         if not isinstance(lame, jax.core.Tracer) and not isinstance(loads, jax.core.Tracer):
-            u, residual = map(jnp.asarray, self.host.solve(np.asarray(lame), np.asarray(loads)))
-            return Solution(u, jnp.ones_like(residual, dtype=int), residual, residual <= 10 * self.tolerance)
-        shapes = jax.ShapeDtypeStruct(loads.shape, loads.dtype), jax.ShapeDtypeStruct(loads.shape[:1], loads.dtype)
+            return _checked(*self.host.solve(np.asarray(lame), np.asarray(loads)))
+        shapes = jax.ShapeDtypeStruct(loads.shape, loads.dtype), jax.ShapeDtypeStruct((), loads.dtype)
         u, residual = jax.pure_callback(self.host.solve, shapes, lame, loads, vmap_method="sequential")
-        return Solution(u, jnp.ones_like(residual, dtype=int), residual, residual <= 10 * self.tolerance)
+        each = jnp.broadcast_to(residual, loads.shape[:1])
+        return Solution(u, jnp.ones_like(each, dtype=int), each, each <= 10 * FACTORISED)
 
     def influence(self, body: Body, lame: Lame, columns: Columns) -> Solution:
         if isinstance(lame, jax.core.Tracer) or isinstance(columns.weight, jax.core.Tracer):
             return super().influence(body, lame, columns)
-        x, residual = self.host.under(np.asarray(lame), columns)
-        each = jnp.full(columns.count, residual)
-        return Solution(x, jnp.ones(columns.count, int), each, each <= 10 * self.tolerance)
+        return self.host.under(body, np.asarray(lame), columns)
 
 
 class Known(AbstractSolver):
@@ -146,7 +156,7 @@ class Known(AbstractSolver):
 
     solution: Solution
 
-    def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+    def held(self, body: Body, lame: Lame, loads: Fields) -> Solution:
         raise ValueError("these displacements are known under the model's own columns only; ask another solver for other loads")
 
     def influence(self, body: Body, lame: Lame, columns: Columns) -> Solution:

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..contact.footprint import Interface
 from ..contact.indentation import Contact, press
-from ..contact.pad import Interface
 from ..errors import InputError
 from ..fem.body import Body, Material, body
 from ..fem.columns import Columns, columns_from_matrix
@@ -291,13 +291,13 @@ def assemble(study: Study, *, solver: str = "auto") -> Assembled:
     spacing = study.finger.resolution
     planned = plans(study.measurements, solid, wired)
     finger = build_finger(solid, Resolution(spacing.pad_mm, spacing.proximal_mm), foci(planned, solid, spacing.pad_mm))
-    elastic = study.model.bone_modulus() is not None
-    return lay_out(study, solid, finger, wired, solver, "elastic" if elastic else "rigid")
+    return lay_out(study, solid, finger, wired, solver)
 
 
-def lay_out(study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, solver: str = "auto", bone: str = "rigid") -> Assembled:
+def lay_out(study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, solver: str = "auto") -> Assembled:
     """A study on a mesh that is already there."""
-    finger = finger.without_bone() if bone == "rigid" else finger
+    bone = study.model.bone_kind()
+    finger = finger if bone == "elastic" else finger.without_bone()
     tissue = body(finger, bone=bone)
     laid = lay(plans(study.measurements, solid, wired), finger, tissue, solid)
     model = Model(

@@ -11,8 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
+from ..contact.footprint import Interface, interface
 from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, from_spec
-from ..contact.pad import Indentation, Interface, Pad, functionals, interface, pad_for, surface_functionals, windows
+from ..contact.locate import surface_functionals
+from ..contact.pad import Pad, functionals
+from ..contact.reach import Indentation, pad_for, windows
 from ..errors import InputError
 from ..fem.body import Body
 from ..fem.locate import strain_columns
@@ -203,7 +206,7 @@ def lay(planned: list[Plan], finger: Finger, body: Body, solid: LayeredSolid) ->
         columns = cut.columns
         if len(plan.origins) == 1:
             pressed, geometry = _pressures(cut, geometry, len(finger.nodes))
-            columns = jnp.arange(pressed.shape[1])[None] + _append(matrices, pressed)
+            columns = jnp.asarray(np.arange(pressed.shape[1])[None] + _append(matrices, pressed))
         rigs.append(_rig(plan, columns, geometry, reading))
     return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers)
 
@@ -232,21 +235,14 @@ def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix
 
 def _only(geometry: Interface, kept: np.ndarray) -> Interface:
     """An interface without the hats that lie off the indenter; `pieces` that touch one of those lose their area."""
-    one = jax.tree.map(lambda leaf: leaf[0], geometry)
-    number = np.full(one.area.shape[0], -1)
+    one = {field.name: np.asarray(getattr(geometry, field.name))[0] for field in dataclasses.fields(geometry)}
+    number = np.full(len(one["area"]), -1)
     number[kept] = np.arange(len(kept))
-    pieces = number[np.asarray(one.pieces)]
+    pieces = number[one["pieces"]]
     whole = np.all(pieces >= 0, axis=1)
-    pressures = Interface(
-        load=jnp.eye(len(kept)),
-        overlap=one.overlap[kept],
-        area=one.area[kept],
-        rim=one.rim[kept],
-        lowest=one.lowest,
-        pieces=jnp.asarray(pieces[whole]),
-        covered=one.covered[whole],
-    )
-    return jax.tree.map(lambda leaf: leaf[None], pressures)
+    left = {name: one[name][kept] for name in ("overlap", "area", "rim")}
+    left |= {"load": np.eye(len(kept)), "lowest": one["lowest"], "pieces": pieces[whole], "covered": one["covered"][whole]}
+    return Interface(**{name: jnp.asarray(part[None]) for name, part in left.items()})
 
 
 def _indentations(plan: Plan, limit: float) -> list[Indentation]:

@@ -29,7 +29,7 @@ from .fitting import complaint
 
 GRAM_FORCE = float(to_internal([1.0], "gf", "force")[0])  # N
 COARSER = 1.3  # spacing of the base over the study's own
-STIFF_BONE = 1e3  # bone over epidermis; the paper's range begins here, and a stiffer one moves nothing more
+STIFF_BONE = 1e3  # bone over epidermis; the paper's range begins here
 NOT_HERE = (
     "Strains under these indenters are not small, and the model is one of small strain: what finite strain and stiffening tissue would "
     "change is not in this table."
@@ -78,7 +78,8 @@ def changes(epidermis: float) -> tuple[Change, ...]:
         Change("dermis 20 % thicker", _grown("dermis", by=1.2)),
         Change("bone 20 % higher", _grown("bone_height", by=1.2)),
         Change("Poisson's ratio 0.49", model={"poisson_ratio": 0.49}),
-        Change("bone elastic, held by the nail alone", model={"bone": STIFF_BONE * epidermis}),
+        Change("bone elastic, 1000 times the epidermis", model={"bone": STIFF_BONE * epidermis}),
+        Change("bone held where it is", model={"bone": "held"}),
         Change("nail half as long", solid=_short_nail),
         Change("mesh finer, spacing times 0.75", spacing=0.75),
     )
@@ -129,7 +130,7 @@ def _assembled(study: Study, plate: Measurement, change: Change) -> Assembled:
     solid = change.solid(_solid(study, change.dimensions))
     said, factor = study.finger.resolution, COARSER * change.spacing
     finger = build_like(solid, _solid(study), Resolution(factor * said.pad_mm, factor * said.proximal_mm))
-    return lay_out(varied, solid, finger, wiring(varied), bone="rigid" if model.bone_modulus() is None else "elastic")
+    return lay_out(varied, solid, finger, wiring(varied))
 
 
 def _solid(study: Study, dimensions: Callable[[Dimensions], Dimensions] = _same) -> LayeredSolid:

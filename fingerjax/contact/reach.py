@@ -1,0 +1,93 @@
+"""The part of the skin that an indentation can reach: small pads, cut from the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .footprint import first_contact
+from .indenter import AbstractIndenter
+from .pad import Pad, SkinMesh, border, of_facets, pad, renumbered
+from .triangle import SAMPLED
+
+NOTHING_THERE = ("weight", "full", "rim")  # what is 0 of a facet that only fills up a window
+SPARE = 1.25  # soft skin bulges: it is reached this much earlier than the travel says
+
+
+@dataclass(frozen=True)
+class Indentation:
+    """One thing that will be pressed: an indenter, its origin (x0, z0), and the largest travel, in mm."""
+
+    indenter: AbstractIndenter
+    origin: tuple[float, float]
+    travel: float
+
+
+def pad_for(finger: SkinMesh, indentations: Sequence[Indentation]) -> Pad:
+    """The skin that any of `indentations` can reach, with a rim of facets to spare."""
+    whole = pad(finger)
+    chosen = np.any([_reached(whole, one) for one in indentations], axis=0)
+    return of_facets(np.asarray(finger.nodes, float), np.asarray(whole.nodes)[np.asarray(whole.facets)[chosen]])
+
+
+def windows(whole: Pad, indentations: Sequence[Indentation]) -> Pad:
+    """One small pad for each indentation, cut from `whole` and stacked along a leading axis, for `jax.vmap`.
+
+    `columns` says which of the whole pad's nodes each window has. Short windows are filled up with facets of
+    no area.
+    """
+    cuts = [_cut(whole, np.flatnonzero(_reached(whole, one))) for one in indentations]
+    arrays = [_stacked([cut[name] for cut in cuts], name in NOTHING_THERE) for name in cuts[0]]
+    return jax.tree.unflatten(jax.tree.structure(whole), arrays)
+
+
+def _reached(whole: Pad, one: Indentation) -> np.ndarray:
+    """Facets that the indenter comes near to within its travel, and their neighbours."""
+    facets, points = np.asarray(whole.facets), np.asarray(whole.points)
+    at = np.einsum("sa,fai->fsi", SAMPLED, points[facets])
+    margin, gap = map(np.asarray, _clearance(whole, one.indenter, jnp.asarray(np.asarray(one.origin, float)), jnp.asarray(at)))
+    size = np.ptp(at[..., 0], axis=1) + np.ptp(at[..., 2], axis=1)
+    touched = np.any((margin > -size[:, None]) & (gap < SPARE * one.travel), axis=1)
+    return np.any(np.isin(facets, facets[touched]), axis=1)
+
+
+@eqx.filter_jit
+def _clearance(
+    whole: Pad, indenter: AbstractIndenter, origin: Float[Array, "2"], at: Float[Array, "f s 3"]
+) -> tuple[Float[Array, "f s"], Float[Array, "f s"]]:
+    """The margin over each place, and the travel from first contact at which the undeformed skin there is met."""
+    lowest = first_contact(whole, indenter, (origin[0], origin[1]))
+    x, z = at[..., 0] - origin[0], at[..., 2] - origin[1]
+    return jnp.broadcast_to(indenter.margin(x, z), x.shape), at[..., 1] - indenter.surface(x, z) - lowest
+
+
+def _cut(whole: Pad, chosen: np.ndarray) -> dict[str, np.ndarray]:
+    """The arrays of the pad of some facets of a pad, in the order of its fields."""
+    facets, hats = np.asarray(whole.facets)[chosen], np.asarray(whole.hats)[chosen]
+    columns, facets = renumbered(facets)
+    kept, hats = renumbered(hats)
+    return {
+        "points": np.asarray(whole.points)[columns],
+        "nodes": np.asarray(whole.nodes)[columns],
+        "columns": np.asarray(whole.columns)[columns],
+        "facets": facets,
+        "hats": hats,
+        "position": np.asarray(whole.position)[chosen],
+        "weight": np.asarray(whole.weight)[chosen],
+        "full": np.asarray(whole.full)[kept],
+        "rim": np.isin(np.arange(len(kept)), hats[np.isin(facets[:, :3], border(facets))]),
+    }
+
+
+def _stacked(parts: list[np.ndarray], empty: bool) -> Array:
+    """Arrays of different lengths along a new axis: short ones repeat their first entry, or are filled with 0 where that says `empty`."""
+    longest = max(map(len, parts))
+    like = np.zeros_like if empty else np.asarray
+    filled = [np.concatenate([one, np.broadcast_to(like(one[:1]), (longest - len(one), *one.shape[1:]))]) for one in parts]
+    return jnp.asarray(np.stack(filled))
