@@ -38,7 +38,7 @@ def test_a_dimension_grows_by_what_its_name_says() -> None:
 
 
 def test_ratios_and_notes_come_from_the_readings(monkeypatch: pytest.MonkeyPatch) -> None:
-    readings = iter([2.0, 1.0, 2.2, 2.0, 2.0, 2.0, 2.0, None, 2.0, 3.0])
+    readings = iter([2.0, 1.0, 2.2, 2.0, 2.0, 2.0, 2.0, None, 2.0, 2.0, 3.0])
     monkeypatch.setattr(module, "slope", lambda *ignored: next(readings))
     assert isinstance(STUDY.options, ForceTable)
     told: list[float] = []

@@ -153,7 +153,7 @@ def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[
                 found[_line_focus(plan.indenter, solid, x, z, plan.deepest)] = None
             elif isinstance(plan.indenter, (Point, FlatCylinder)):
                 radius = float(plan.indenter.radius)
-                found[Focus("point", z, _theta(solid, x, z), PROBE_SPACING * radius, radius)] = None
+                found[Focus("point", z, _theta(solid, x, z), PROBE_SPACING * radius, radius, growth=1.0)] = None
     return tuple(focus for focus in found if focus.size < pad_spacing)
 
 

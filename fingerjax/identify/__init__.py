@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fingerjax.identify.fit import Fit, Health, Problem, Step, fit
+from fingerjax.forward.problem import Health, Problem
+from fingerjax.identify.fit import Fit, Step, fit
 from fingerjax.identify.sensitivity import Sensitivity, sensitivity
 from fingerjax.identify.uncertainty import Estimate, Uncertainty, uncertainty
 

@@ -17,25 +17,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array
 
-from fingerjax._results import RESULTS
-from fingerjax.forward.problem import Health, Problem
-from fingerjax.parameters import Parameter
+from .._results import RESULTS
+from ..forward.problem import Problem
+from .box import PERFECT, Box, relative_gradient
+from .evaluation import Point, evaluator
+from .walk import Secant, Walk
 
-DAMPING = 1e-3  # first Levenberg-Marquardt parameter, in units of the squared column lengths (Marquardt 1963)
-LARGEST_CHANGE = 3.0  # of a log or logit parameter in one step: a factor of twenty
-LAST_LOGIT = 11.5  # raw limits of a logit parameter: 1e-5 of its span from either end
-PERFECT = 1e-3  # residuals of this many sigma count as perfect: a smaller one is not worth a step
 NEAR = 1e-3  # standard errors from the optimum at which a fit that cannot go on counts as arrived
+LEVEL = 0.1  # relative gradient from which on the secant may be asked: far from an optimum it misleads
 REFUSED = 10  # failed evaluations in all after which a fit gives up
 
 
@@ -105,200 +98,6 @@ class Fit:
         return self.residual[self.problem.blocks[block]]
 
 
-@dataclass(frozen=True)
-class _Point:
-    """The model at one raw vector."""
-
-    raw: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
-    converged: bool
-    iterations: int
-    solve_residual: float
-
-    @property
-    def usable(self) -> bool:
-        return self.converged and bool(
-            np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.jacobian))
-        )
-
-    @property
-    def chi2(self) -> float:
-        with np.errstate(over="ignore", invalid="ignore"):
-            return float(self.residual @ self.residual)
-
-
-@eqx.filter_jit
-def _linearise(residuals: Callable[[Array], tuple[Array, Health]], raw: Array) -> tuple[Array, Array, Health]:
-    """Residuals, Jacobian and health in one pass.
-
-    The tangents are pushed forward together with the one value that they share (`out_axes=None` insists on
-    it). A `linearize` would do too, but runs a loop in the model twice: once for the value and once for the
-    tangents.
-    """
-
-    def push(direction: Array) -> tuple[Array, Array, Health]:
-        return jax.jvp(residuals, (raw,), (direction,), has_aux=True)
-
-    return jax.vmap(push, out_axes=(None, 1, None))(jnp.eye(raw.size))
-
-
-def evaluator(problem: Problem) -> Callable[[np.ndarray], _Point]:
-    """The model as a function of the raw vector, on the host.
-
-    Compiled once per `problem.residuals`. Where that is a module (`equinox.Module`) with the data among its
-    leaves, problems that differ in their data only share one compilation.
-    """
-
-    def evaluate(raw: np.ndarray) -> _Point:
-        at = jnp.asarray(raw)
-        residuals = problem.residuals if problem.prepare is None else problem.prepare(at)
-        residual, jacobian, health = jax.block_until_ready(_linearise(residuals, at))
-        return _Point(
-            raw,
-            np.asarray(residual),
-            np.asarray(jacobian),
-            bool(health.converged),
-            int(health.iterations),
-            float(health.residual),
-        )
-
-    return evaluate
-
-
-@dataclass(frozen=True)
-class _Box:
-    """The raw limits. A logit parameter stops just short of its own, where its slope is still a number."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-    largest_change: np.ndarray
-
-    @classmethod
-    def around(cls, parameters: tuple[Parameter, ...]) -> _Box:
-        bounds = [_raw_limits(parameter) for parameter in parameters]
-        change = [math.inf if parameter.link == "identity" else LARGEST_CHANGE for parameter in parameters]
-        return cls(np.array([b[0] for b in bounds]), np.array([b[1] for b in bounds]), np.array(change))
-
-    def held(self, point: _Point) -> np.ndarray:
-        """(p,) bool: at a limit, with a residual that would fall beyond it."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            slope = point.jacobian.T @ point.residual
-        return ((point.raw <= self.lower) & (slope > 0)) | ((point.raw >= self.upper) & (slope < 0))
-
-    def inside(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """The point that a step from `start` to `end` may reach: shortened as a whole, then clipped."""
-        change = end - start
-        with np.errstate(invalid="ignore"):
-            share = np.max(np.where(change == 0.0, 0.0, np.abs(change) / self.largest_change), initial=0.0)
-        return np.clip(start + change / max(share, 1.0), self.lower, self.upper)
-
-
-def _raw_limits(parameter: Parameter) -> tuple[float, float]:
-    if parameter.link == "logit":
-        return -LAST_LOGIT, LAST_LOGIT
-    return parameter.raw_limits()
-
-
-def relative_gradient(residual: np.ndarray, jacobian: np.ndarray) -> float:
-    """Largest |J_j . r| / (|J_j| |r|): the cosine between the residual and what a parameter could change.
-
-    Residuals of less than `PERFECT` sigma count as that, so that an exact fit has an end.
-    """
-    lengths = np.linalg.norm(jacobian, axis=0)
-    seen = lengths > 0
-    size = max(float(np.linalg.norm(residual)), PERFECT * math.sqrt(residual.size))
-    cosines = np.abs(jacobian[:, seen].T @ residual) / (lengths[seen] * size)
-    return float(np.max(cosines, initial=0.0))
-
-
-@cache
-def _solver() -> Any:
-    # A step is good from three quarters of the predicted reduction; optimistix asks for 0.99, which a curved
-    # model reaches too late for the damping to vanish.
-    search: Any = optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=10.0, low_constant=0.1)
-    return eqx.tree_at(lambda s: s.search, optx.LevenbergMarquardt(rtol=0.0, atol=0.0), search)
-
-
-@cache
-def _blank_state(rows: int, count: int) -> Any:
-    """The solver's first state. Kept, because it holds a traced function and a new one would be compiled
-    again."""
-    z = jnp.zeros(count)
-    args = (jnp.zeros(rows), jnp.zeros((rows, count)), z)
-    shapes = jax.eval_shape(_linearised, z, args)
-    return _solver().init(_linearised, z, args, {}, *shapes, frozenset())
-
-
-@eqx.filter_jit
-def _advance(z: Array, args: tuple[Array, Array, Array], state: Any) -> tuple[Array, Any]:
-    z, state, _ = _solver().step(_linearised, z, args, {}, state, frozenset())
-    return z, state
-
-
-class _Walk:
-    """optimistix's Levenberg-Marquardt on linearisations that somebody else evaluates.
-
-    Coordinates are z = raw * scale, scale being the column lengths of the Jacobian times sqrt(`DAMPING`).
-    """
-
-    def __init__(self, box: _Box):
-        self.box = box
-        self.scale = np.array([])
-        self.state: Any = None
-        self.z: Any = None
-
-    def begin(self, point: _Point, step_size: float = 1.0) -> np.ndarray:
-        """(Re)start at an evaluated point and say where to evaluate next."""
-        lengths = np.linalg.norm(point.jacobian, axis=0)
-        fresh = np.where(lengths > 0, lengths, 1.0) * math.sqrt(DAMPING)
-        self.scale = fresh if self.scale.size == 0 else np.maximum(fresh, self.scale)
-        self.z = jnp.asarray(point.raw * self.scale)
-        self.state = eqx.tree_at(
-            lambda s: (s.y_eval, s.search_state.step_size),
-            _blank_state(*point.jacobian.shape),
-            (self.z, jnp.asarray(step_size)),
-        )
-        return self.advance(point, point)
-
-    def advance(self, at: _Point, best: _Point) -> np.ndarray:
-        """Tell the solver what was found at its trial point; (p,) raw where it wants to look next.
-
-        A point higher than the best is refused here: after clipping, the solver may have predicted it to be
-        so.
-        """
-        surrogate = self._surrogate(at, refuse=not at.usable or at.chi2 > best.chi2)
-        self.z, self.state = _advance(self.z, surrogate, self.state)
-        centre = np.asarray(self.z) / self.scale
-        trial = self.box.inside(centre, np.asarray(self.state.y_eval) / self.scale)
-        self.state = eqx.tree_at(lambda s: s.y_eval, self.state, jnp.asarray(trial * self.scale))
-        return trial
-
-    @property
-    def accepted(self) -> bool:
-        return int(self.state.num_steps_since_acceptance) == 0
-
-    @property
-    def step_size(self) -> float:
-        return float(self.state.search_state.step_size)
-
-    def outgrown(self, point: _Point) -> bool:
-        """Has a column grown so far past its scale that the damping no longer knows it?"""
-        lengths = np.linalg.norm(point.jacobian, axis=0) * math.sqrt(DAMPING)
-        return bool(np.any(lengths > 2.0 * self.scale))
-
-    def _surrogate(self, point: _Point, refuse: bool = False) -> tuple[Array, Array, Array]:
-        residual, jacobian = point.residual, point.jacobian * ~self.box.held(point)
-        if refuse:
-            residual, jacobian = np.full_like(residual, np.inf), np.zeros_like(jacobian)
-        return jnp.asarray(residual), jnp.asarray(jacobian / self.scale), jnp.asarray(point.raw * self.scale)
-
-
-def _linearised(z: Array, args: tuple[Array, Array, Array]) -> tuple[Array, None]:
-    residual, jacobian, centre = args
-    return residual + jacobian @ (z - centre), None
-
-
 @contextmanager
 def _interruptible() -> Iterator[threading.Event]:
     """Turn the first Ctrl-C into a flag, so that the evaluation under way ends cleanly; a second one
@@ -325,8 +124,8 @@ class _Record:
     """What accumulates while a fit runs."""
 
     problem: Problem
-    box: _Box
-    best: _Point
+    box: Box
+    best: Point
     gradient: float = math.inf
     steps: int = 0
     evaluations: int = 1
@@ -335,13 +134,13 @@ class _Record:
     history: list[Step] = field(default_factory=list)
     progress: Callable[[Step], object] | None = None
 
-    def take(self, point: _Point) -> None:
+    def take(self, point: Point) -> None:
         self.best, self.gradient, self.stuck = point, self.slope_at(point), 0
 
-    def slope_at(self, point: _Point) -> float:
-        return relative_gradient(point.residual, point.jacobian[:, ~self.box.held(point)])
+    def slope_at(self, point: Point) -> float:
+        return relative_gradient(point.residual, point.jacobian[:, ~self.box.idle(point)])
 
-    def note(self, point: _Point, accepted: bool, seconds: float) -> None:
+    def note(self, point: Point, accepted: bool, seconds: float) -> None:
         self.refused += not point.usable
         gradient = self.slope_at(point) if point.usable else math.nan
         self.history.append(Step(self.steps, point.chi2, gradient, accepted, seconds))
@@ -350,7 +149,7 @@ class _Record:
 
     def remaining(self) -> float:
         """How far the linearised optimum lies, in standard errors: |projection of r on the columns| / s."""
-        free = self.best.jacobian[:, ~self.box.held(self.best)]
+        free = self.best.jacobian[:, ~self.box.idle(self.best)]
         lengths = np.linalg.norm(free, axis=0)
         basis, singular, _ = np.linalg.svd(free[:, lengths > 0] / lengths[lengths > 0], full_matrices=False)
         basis = basis[:, singular > 1e-10]
@@ -362,7 +161,10 @@ class _Record:
             parameter.name: parameter.at_limit(float(parameter.natural(raw)))
             for parameter, raw in zip(self.problem.parameters, self.best.raw, strict=True)
         }
-        return {name: side for name, side in sides.items() if side is not None}
+        found = {name: side for name, side in sides.items() if side is not None}
+        slope = self.best.jacobian.T @ self.best.residual
+        faint = zip(self.problem.names, self.box.faint(self.best), slope, strict=True)
+        return found | {name: "upper" if g < 0 else "lower" for name, gone, g in faint if gone and name not in found}
 
     def end(self, result: RESULTS, reason: str) -> Fit:
         limits = self.limits() if self.best.usable else {}
@@ -406,7 +208,7 @@ def fit(
     """
     if not problem.parameters:
         raise ValueError("problem has no free parameters: name at least one under fit.free")
-    evaluate, box = evaluator(problem), _Box.around(problem.parameters)
+    evaluate, box = evaluator(problem), Box.around(problem.parameters)
     first = np.clip(problem.start() if start is None else np.asarray(start, float), box.lower, box.upper)
     with _interruptible() as asked:
         clock = time.perf_counter()
@@ -420,25 +222,23 @@ def fit(
 
 def _descend(
     record: _Record,
-    evaluate: Callable[[np.ndarray], _Point],
+    evaluate: Callable[[np.ndarray], Point],
     max_steps: int,
     tolerance: float,
     asked: threading.Event,
 ) -> Fit:
-    walk = _Walk(record.box)
-    trial = walk.begin(record.best)
+    walk, secant = Walk(record.box), Secant(record.box)
+    trial, waiting = walk.begin(record.best), None
     while record.gradient > tolerance:
         if asked.is_set():
             return record.end(RESULTS.interrupted, f"stopped by hand after {record.steps} steps")
         if record.steps == max_steps:
-            return record.end(
-                RESULTS.not_converged,
-                f"no optimum in {max_steps} steps (relative gradient {record.gradient:.1e})",
-            )
+            return record.end(RESULTS.not_converged, f"no optimum in {max_steps} steps (relative gradient {record.gradient:.1e})")
         clock = time.perf_counter()
-        point = evaluate(trial)
+        point = evaluate(trial).reached_from(record.best)
         record.steps, record.evaluations = record.steps + 1, record.evaluations + 1
-        trial, accepted = _judge(record, walk, point)
+        secant.learn(point, record.best)
+        trial, waiting, accepted = _next(record, walk, secant, point, waiting)
         record.note(point, accepted, time.perf_counter() - clock)
         if record.refused == REFUSED:
             return record.end(RESULTS.not_converged, _failure(f"at {REFUSED} trial points", point))
@@ -447,13 +247,38 @@ def _descend(
     return record.end(RESULTS.successful, f"optimum after {record.steps} steps")
 
 
-def _judge(record: _Record, walk: _Walk, point: _Point) -> tuple[np.ndarray, bool]:
+def _next(
+    record: _Record, walk: Walk, secant: Secant, point: Point, waiting: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None, bool]:
+    """Where to look next, where Levenberg-Marquardt would look if that comes from the secant, and whether the point was taken.
+
+    The secant is asked once Levenberg-Marquardt has been refused, and as long as its steps are good.
+    """
+    if waiting is None:
+        trial, accepted = _judge(record, walk, point)
+        ask = not accepted and point.usable and record.gradient < LEVEL
+    elif _lower(record, point):
+        record.take(point)
+        trial, accepted, ask = walk.begin(point, walk.step_size), True, True
+    else:
+        record.stuck += 1
+        trial, accepted, ask = waiting, False, False
+    proposed = secant.trial(record.best) if ask else None
+    return (trial, None, accepted) if proposed is None else (proposed, trial, accepted)
+
+
+def _lower(record: _Record, point: Point) -> bool:
+    """Is the point lower than the best, or, where chi2 no longer tells, closer to level?"""
+    if not point.usable:
+        return False
+    best = record.best.chi2
+    return point.chi2 < best * (1 - 1e-10) or (point.chi2 <= best * (1 + 1e-10) and record.slope_at(point) < record.gradient)
+
+
+def _judge(record: _Record, walk: Walk, point: Point) -> tuple[np.ndarray, bool]:
     """Hand the point to the solver, or take it for its smaller gradient where chi2 no longer tells."""
-    best = record.best
-    polished = (
-        point.usable and point.chi2 <= best.chi2 * (1 + 1e-10) and record.slope_at(point) < record.gradient
-    )
-    trial = walk.advance(point, best)
+    polished = _lower(record, point) and point.chi2 > record.best.chi2 * (1 - 1e-10)
+    trial = walk.advance(point, record.best)
     accepted = walk.accepted or polished
     if not accepted:
         record.stuck += 1
@@ -478,7 +303,7 @@ def _at_a_stand(record: _Record) -> Fit:
     return record.end(RESULTS.successful if distance <= NEAR else RESULTS.not_converged, story)
 
 
-def _failure(where: str, point: _Point) -> str:
+def _failure(where: str, point: Point) -> str:
     if point.converged:
         return f"the model gave a number that is not finite {where}"
     return (
