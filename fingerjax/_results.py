@@ -13,6 +13,9 @@ class RESULTS(enum.Enum):
         "The solver stopped before its residual was small enough; allow more iterations, loosen the "
         "tolerance, or bring Poisson's ratio away from 0.5."
     )
+    no_optimum = (
+        "The fit found no optimum; start it elsewhere, free fewer parameters, tie some, or add a prior or a measurement that they change."
+    )
     contact_did_not_settle = (
         "The set of touching points kept changing; take smaller steps of depth, or give a sharp indenter a "
         "finite edge radius."

@@ -77,7 +77,7 @@ def test_certified_values_and_deviations(case: Certified, start: int, link: str)
 
 def test_a_fit_that_runs_away_says_so() -> None:
     found = fit(certified(BOXBOD, 0, "identity"))
-    assert found.result is RESULTS.not_converged
+    assert found.result is RESULTS.no_optimum
     assert all(math.isnan(value) for value in found.values.values())
 
 
@@ -145,7 +145,7 @@ def test_a_model_that_is_not_finite_stops_it() -> None:
 
 def test_steps_that_run_out_are_no_optimum() -> None:
     found = fit(certified(MISRA1A, 0, "log"), max_steps=3)
-    assert found.result is RESULTS.not_converged
+    assert found.result is RESULTS.no_optimum
     assert found.evaluations == 4
     assert math.isnan(found.values["b1"])
     assert not math.isnan(found.best["b1"])
@@ -218,3 +218,27 @@ def test_units_do_not_change_the_path() -> None:
     other = fit(problem(lambda x, b: MISRA1A.model(x, (b[0] / 1e3, b[1])), x, y, large))
     assert one.steps == other.steps
     assert other.values["b1"] == pytest.approx(1e3 * one.values["b1"], rel=1e-9)
+
+
+def test_a_parameter_on_a_plateau_does_not_hold_up_the_fit() -> None:
+    def saturating(x: jax.Array, b: jax.Array) -> jax.Array:
+        return b[0] * x / (1.0 + x / b[1])
+
+    x = np.linspace(0.5, 3.0, 8)
+    y = 2.0 * x * (1.0 + 0.03 * x) + 0.05 * np.cos(7.0 * x)  # bends the other way, so that the second parameter runs off
+    found = fit(problem(saturating, x, y, [Parameter("slope", 1.0), Parameter("plateau", 1.0)]))
+    assert found.result is RESULTS.at_limit and found.limits == {"plateau": "upper"}
+    straight = float(x @ y / (x @ x))
+    assert found.values["slope"] == pytest.approx(straight, rel=1e-2)
+    assert found.evaluations < 40
+
+
+def test_a_wrong_model_with_large_residuals_is_fitted_in_few_steps() -> None:
+    def wave(x: jax.Array, b: jax.Array) -> jax.Array:
+        return jnp.sin(b[0] * x) * b[1]
+
+    x = np.linspace(0.1, 4.0, 30)
+    y = np.sin(1.3 * x) + 0.8 * np.sign(np.sin(4.0 * x)) + 0.3 * x  # most of it is not in the model
+    found = fit(problem(wave, x, y, [Parameter("rate", 1.0), Parameter("height", 1.0)]))
+    assert found.result is RESULTS.successful and found.gradient <= 1e-6
+    assert found.chi2 > 1.0 and found.evaluations <= 20

@@ -39,7 +39,7 @@ class Box:
     def faint(self, point: Point) -> np.ndarray:
         """(p,) bool: log and logit parameters on a plateau, whose optimum would lie at infinity if they were followed.
 
-        They went downhill and faded, and by now a factor e in one of them changes all residuals together by less than `FAINT` of their
+        They faded on the way here, and by now a factor e in one of them changes all residuals together by less than `FAINT` of their
         own spread. Looked at anew at every point.
         """
         if point.fading is None:
@@ -48,7 +48,7 @@ class Box:
             spread = max(math.sqrt(point.chi2 / max(point.residual.size - point.raw.size, 1)), PERFECT)
             lengths = np.linalg.norm(point.jacobian, axis=0)
             slope = np.abs(point.jacobian.T @ point.residual)
-            return self.linked & point.fading & (lengths < FAINT * spread) & (slope < FAINT * spread**2)
+            return self.linked & (point.fading != 0) & (lengths < FAINT * spread) & (slope < FAINT * spread**2)
 
     def held(self, point: Point) -> np.ndarray:
         """(p,) bool: at a limit, with a residual that would fall beyond it."""

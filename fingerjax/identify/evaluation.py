@@ -14,12 +14,14 @@ from jaxtyping import Array
 
 from ..forward.problem import Health, Problem
 
+STILL = 1e-9  # raw change below which a parameter did not move
+
 
 @dataclass(frozen=True)
 class Point:
     """The model at one raw vector.
 
-    `fading` (p,) bool, where it was reached from another point: parameters that went downhill and lost sight of the data on the way.
+    `fading` (p,), where it was reached from another point: parameters that lost sight of the data on the way, +1 upwards, -1 downwards.
     """
 
     raw: np.ndarray
@@ -33,11 +35,10 @@ class Point:
     def reached_from(self, other: Point) -> Point:
         """This point, knowing which of its parameters fade."""
         moved = self.raw - other.raw
-        before = np.zeros(len(moved), bool) if other.fading is None else other.fading
+        before = np.zeros(len(moved)) if other.fading is None else other.fading
         with np.errstate(over="ignore", invalid="ignore"):
-            downhill = moved * (other.jacobian.T @ other.residual) < 0
             fainter = np.linalg.norm(self.jacobian, axis=0) < np.linalg.norm(other.jacobian, axis=0)
-        fading = np.where(moved == 0, before, downhill & fainter)
+        fading = np.where(np.abs(moved) <= STILL, before, np.sign(moved) * fainter)
         return dataclasses.replace(self, fading=fading)
 
     @property

@@ -162,9 +162,10 @@ class _Record:
             for parameter, raw in zip(self.problem.parameters, self.best.raw, strict=True)
         }
         found = {name: side for name, side in sides.items() if side is not None}
-        slope = self.best.jacobian.T @ self.best.residual
-        faint = zip(self.problem.names, self.box.faint(self.best), slope, strict=True)
-        return found | {name: "upper" if g < 0 else "lower" for name, gone, g in faint if gone and name not in found}
+        if self.best.fading is not None:
+            faint = zip(self.problem.names, self.box.faint(self.best), self.best.fading, strict=True)
+            found |= {name: "upper" if way > 0 else "lower" for name, gone, way in faint if gone and name not in found}
+        return found
 
     def end(self, result: RESULTS, reason: str) -> Fit:
         limits = self.limits() if self.best.usable else {}
@@ -200,7 +201,7 @@ def fit(
     - `progress`: called with a `Step` after every evaluation.
 
     **Returns:** a `Fit`. It never raises for a fit that ends badly: `Fit.result` is then `not_converged` (a
-    solve inside failed at the start or kept failing, or the steps ran out) or `interrupted` (Ctrl-C),
+    solve inside failed at the start or kept failing), `no_optimum` (no step goes down, or they ran out) or `interrupted` (Ctrl-C),
     `Fit.values` are NaN and the best point so far is kept in `Fit.raw`. A trial point whose solves failed is
     never accepted.
 
@@ -233,7 +234,7 @@ def _descend(
         if asked.is_set():
             return record.end(RESULTS.interrupted, f"stopped by hand after {record.steps} steps")
         if record.steps == max_steps:
-            return record.end(RESULTS.not_converged, f"no optimum in {max_steps} steps (relative gradient {record.gradient:.1e})")
+            return record.end(RESULTS.no_optimum, f"no optimum in {max_steps} steps (relative gradient {record.gradient:.1e})")
         clock = time.perf_counter()
         point = evaluate(trial).reached_from(record.best)
         record.steps, record.evaluations = record.steps + 1, record.evaluations + 1
@@ -300,7 +301,7 @@ def _at_a_stand(record: _Record) -> Fit:
     distance = record.remaining()
     story = f"no step goes down after {record.steps} (relative gradient {record.gradient:.1e}"
     story += f", {distance:.1e} standard errors from the optimum)"
-    return record.end(RESULTS.successful if distance <= NEAR else RESULTS.not_converged, story)
+    return record.end(RESULTS.successful if distance <= NEAR else RESULTS.no_optimum, story)
 
 
 def _failure(where: str, point: Point) -> str:

@@ -90,7 +90,7 @@ class StudyResult:
 
     @property
     def converged(self) -> bool:
-        return self.result is not RESULTS.not_converged
+        return self.result not in (RESULTS.not_converged, RESULTS.no_optimum)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data from which `from_json` makes the same record."""

@@ -83,7 +83,7 @@ def sidecar(case: Case, record: Profiles | Forces | Rates, sigma: Array) -> dict
 def study(case: Case) -> dict[str, Any]:
     """The `experiments.yaml` a user would start from; its moduli are start values, not the truth."""
     nail = {"z_mm": list(case.finger.nail_z), "theta_deg": list(case.finger.nail_theta)}
-    model: dict[str, Any] = {"moduli_MPa": _by_layer(case.start), "bone": "rigid", "poisson_ratio": POISSON}
+    model: dict[str, Any] = {"moduli_MPa": _by_layer(case.start), "bone": "held", "poisson_ratio": POISSON}
     if case.receptor_depth is not None:
         model["receptor"] = {"depth_mm": case.receptor_depth, "z_mm": case.finger.site, "theta_deg": 270.0}
     return {
@@ -102,10 +102,10 @@ def truth(
     """What made the data, for scoring a fit and never for making one."""
     said: dict[str, Any] = {"case": case.name, "made_with": command, "effect": "none", "seed": seed}
     said["mechanics"] = (
-        "small strain, linear elastic; contact is the only nonlinearity; rigid bone, nail patch fixed, "
+        "small strain, linear elastic; contact is the only nonlinearity; bone and nail patch fixed, "
         "proximal cut free"
     )
-    said |= {"moduli_MPa": _by_layer(case.moduli), "bone": "rigid", "poisson_ratio": POISSON}
+    said |= {"moduli_MPa": _by_layer(case.moduli), "bone": "held", "poisson_ratio": POISSON}
     shape = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(case.finger).items()}
     said["finger"] = shape | {"length_of_the_table": round(case.finger.length - LAST_SECTION, 4)}
     for record in case.records:
