@@ -23,7 +23,7 @@ from fingerjax.contact.reach import Indentation, pad_for
 from fingerjax.fem.body import Body, body, material
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.operator import internal_force
-from fingerjax.fem.solver import known, solver_for
+from fingerjax.fem.solver import solver_for
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh.bodies import block
 
@@ -57,9 +57,9 @@ class Pressed:
         self.pad: Pad = pad_for(finger, [Indentation(self.sphere, self.origin, max(DEPTHS))])
         self.solver = solver_for(self.body)
         columns = columns_from_matrix(functionals(self.pad, len(finger.nodes)))
-        solution = known(self.solver, self.body, TISSUE.lame(), columns).solution
-        assert bool(solution.converged.all())
-        self.compliance = columns.read(solution.displacement)
+        held = self.solver.condense(self.body, TISSUE.lame(), columns).held
+        assert bool(held.converged)
+        self.compliance = held.matrix
 
     def to(self, depth: float) -> Contact:
         return press(self.compliance, interface(self.pad, self.sphere, self.origin), travel=depth)

@@ -31,26 +31,33 @@ class Assembled:
         # The pattern is found between nodes, nine times fewer than the numbers in it.
         row, column = np.repeat(tets, tets.shape[1], axis=1).ravel(), np.tile(tets, tets.shape[1]).ravel()
         pairs, block = np.unique(row.astype(np.int64) * nodes + column, return_inverse=True)
-        self._slot = _entries(block.reshape(len(tets), tets.shape[1], tets.shape[1]))
-        self._count = 9 * len(pairs)
-        self._pattern = _positions(pairs, nodes)[self.free][:, self.free]
+        pattern = _positions(pairs, nodes)[self.free][:, self.free]
         if upper:
-            self._pattern = sp.triu(self._pattern, format="csr")
-        self._pattern.sort_indices()
-        self._volumetric, self._shear = element_matrices(body)
-        self._layer = np.asarray(body.layer)
+            pattern = sp.triu(pattern, format="csr")
+        pattern.sort_indices()
+        place = np.full(9 * len(pairs), -1)  # of each entry of each node pair's block, among the matrix's own
+        place[pattern.data - 1] = np.arange(pattern.nnz)
+        self._pattern = pattern
+        self._sum(place[_entries(block.reshape(len(tets), tets.shape[1], tets.shape[1]))], body)
+
+    def _sum(self, place: np.ndarray, body: Body) -> None:
+        """Add up the elements of each layer once: refilling then costs little more than reading the matrix."""
+        used = place >= 0
+        layer = np.repeat(np.asarray(body.layer), used.size // len(body.layer))[used]
+        key, self._layers = layer * np.int64(self._pattern.nnz) + place[used], int(np.asarray(body.layer).max()) + 1
+        kept, where = np.unique(key, return_inverse=True)
+        self._layer, self._place = np.divmod(kept, self._pattern.nnz)
+        self._volumetric, self._shear = (np.bincount(where, part.ravel()[used]) for part in element_matrices(body))
 
     def matrix(self, lame: np.ndarray) -> sp.csr_matrix:
         """The stiffness, N/mm, for Lame parameters (2, layers), MPa."""
-        lam, mu = np.asarray(lame)[:, self._layer, None, None]
-        values = (lam * self._volumetric + mu * self._shear).ravel()
-        summed = np.bincount(self._slot, weights=values, minlength=self._count)
-        pattern = self._pattern
-        return sp.csr_matrix((summed[pattern.data - 1], pattern.indices, pattern.indptr), shape=pattern.shape)
+        lam, mu = np.asarray(lame)[:, self._layer]
+        data = np.bincount(self._place, lam * self._volumetric + mu * self._shear, self._pattern.nnz)
+        return sp.csr_matrix((data, self._pattern.indices, self._pattern.indptr), shape=self._pattern.shape)
 
     def part(self, layer: int, modulus: int) -> sp.csr_matrix:
         """The stiffness per unit of one Lame parameter (0 first, 1 shear) of one layer."""
-        lame = np.zeros((2, int(self._layer.max()) + 1))
+        lame = np.zeros((2, self._layers))
         lame[modulus, layer] = 1.0
         return self.matrix(lame)
 

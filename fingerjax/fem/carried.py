@@ -1,16 +1,14 @@
 """A rigid bone that the tissue carries: six unknowns more, found by six more solves with the bone held.
 
 Let R be the bone's rigid motions, and V = R - K_ff^-1 K_fb R the finger's displacement when the bone makes them and nothing else pushes.
-Under loads B, and none on the bone itself but what the tissue brings there,
+Under loads F, and none on the bone itself but what the tissue brings there,
 
-    X = X_held + V (V' K V)^-1 V' B
+    u = u_held + V (V' K V)^-1 V' F
 
 because the bone moves until the work of every rigid motion vanishes. Both solvers know held bones only, and need know no more.
 """
 
 from __future__ import annotations
-
-from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -21,23 +19,7 @@ from .body import Body
 from .krylov import Solution
 from .operator import Lame, internal_force
 
-
-@runtime_checkable
-class Loads(Protocol):
-    """Loads that tell the work they do."""
-
-    def read(self, u: Float[Array, "modes nodes 3"]) -> Float[Array, "modes m"]:
-        """The work, N mm, of each load on each displacement."""
-        ...
-
-
-class NodalForces(eqx.Module):
-    """Loads written out: (m, nodes, 3), N."""
-
-    forces: Float[Array, "m nodes 3"]
-
-    def read(self, u: Float[Array, "modes nodes 3"]) -> Float[Array, "modes m"]:
-        return u.reshape(len(u), -1) @ self.forces.reshape(len(self.forces), -1).T
+Fields = Float[Array, "m nodes 3"]
 
 
 @eqx.filter_jit
@@ -48,19 +30,45 @@ def bone_loads(body: Body, lame: Lame) -> Float[Array, "modes nodes 3"]:
     return -body.free[:, None] * jax.lax.map(lambda mode: internal_force(body, lame, mode), body.modes)
 
 
+class Carriage(eqx.Module):
+    """How the finger moves with its bone: `motions` V (modes, n, 3), mm, and `stiffness` V'KV (modes, modes), N/mm."""
+
+    motions: Float[Array, "modes nodes 3"]
+    stiffness: Float[Array, "modes modes"]
+
+    def complete(self, held: Fields, work: Float[Array, "modes m"]) -> Fields:
+        """Displacements with the bone carried, from those with it held and from the work of their loads on the motions."""
+        if len(self.motions) == 0:
+            return held
+        flat = self.motions.reshape(len(self.motions), -1)
+        return held + (self.gives(work).T @ flat).reshape(held.shape)
+
+    def gives(self, work: Float[Array, "modes m"]) -> Float[Array, "modes m"]:
+        """How far each motion is made by loads that do this work on it."""
+        return jnp.linalg.solve(self.stiffness, work) if len(self.motions) else work
+
+
 @eqx.filter_jit
-def let_go(body: Body, lame: Lame, loads: Loads, held: Solution) -> Solution:
+def carriage(body: Body, lame: Lame, held: Fields) -> Carriage:
+    """From the displacements (modes, n, 3) that `bone_loads` make with the bone held."""
+    V = body.modes + held
+    if len(V) == 0:
+        return Carriage(V, jnp.zeros((0, 0)))
+    KV = jax.lax.map(lambda v: internal_force(body, lame, v), V)
+    stiffness = V.reshape(len(V), -1) @ KV.reshape(len(V), -1).T
+    return Carriage(V, (stiffness + stiffness.T) / 2)
+
+
+@eqx.filter_jit
+def let_go(body: Body, lame: Lame, loads: Fields, held: Solution) -> Solution:
     """Displacements with the bone carried, from those with it held, which were found under m `loads` and then under `bone_loads`."""
     modes = len(body.modes)
     if modes == 0:
         return held
-    u, V = held.displacement[:-modes], body.modes + held.displacement[-modes:]
-    KV = jax.lax.map(lambda v: internal_force(body, lame, v), V)
-    flat = V.reshape(modes, -1)
-    stiffness = flat @ KV.reshape(modes, -1).T
-    motion = jnp.linalg.solve((stiffness + stiffness.T) / 2, loads.read(V))
+    bone = carriage(body, lame, held.displacement[-modes:])
+    work = bone.motions.reshape(modes, -1) @ loads.reshape(len(loads), -1).T
     return Solution(
-        u + (motion.T @ flat).reshape(u.shape),
+        bone.complete(held.displacement[:-modes], work),
         jnp.maximum(held.iterations[:-modes], held.iterations[-modes:].max()),
         jnp.maximum(held.residual[:-modes], held.residual[-modes:].max()),
         held.converged[:-modes] & held.converged[-modes:].all(),

@@ -36,7 +36,7 @@ def compliance(body: Body, solver: AbstractSolver, material: Material, columns: 
 
 
 def _influence(lame: Lame, body: Body, solver: AbstractSolver, columns: Columns) -> Solution:
-    return solver.influence(body, jax.lax.stop_gradient(lame), columns)
+    return solver.solve(body, jax.lax.stop_gradient(lame), columns.loads())
 
 
 def _reduced(columns: Columns, solution: Solution) -> tuple[Array, Array, Array, Array]:
@@ -60,39 +60,6 @@ def _condensed_jvp(primals: tuple, tangents: tuple) -> tuple:
     X = solution.displacement
     KX = jax.lax.map(lambda u: internal_force(body, tangents[0], u), X, batch_size=min(4, X.shape[0]))
     return out, (-jnp.einsum("mni,kni->mk", X, KX), None, None, None)
-
-
-class Condensed(eqx.Module):
-    """A body condensed to its columns at one material, held: `matrix` (m, m), and how readings change with the material.
-
-    Under given forces only the change of `C` in their direction matters, and that needs one product with the stiffness:
-
-        dC f = - X' dK u,   u = X f
-    """
-
-    body: Body
-    influence: Float[Array, "m nodes 3"]
-    matrix: Float[Array, "m m"]
-    lame: Float[Array, "2 layers"]
-    iterations: Int[Array, ""]
-    residual: Float[Array, ""]
-    converged: Bool[Array, ""]
-
-    def changes(self, forces: Float[Array, "cases m"]) -> Float[Array, "cases m"]:
-        """Readings that each set of forces would add by the material moving away from where it is held: zero, with the derivative."""
-        X = self.influence.reshape(len(self.influence), -1)  # plain matrix products: XLA is slow at others on a CPU
-        u = (forces @ X).reshape(-1, *self.influence.shape[1:])
-        away = self.lame - jax.lax.stop_gradient(self.lame)
-        moved = jax.lax.map(lambda each: internal_force(self.body, away, each), u)
-        return -(moved.reshape(len(u), -1) @ X.T)
-
-
-def condense(body: Body, solver: AbstractSolver, material: Material, columns: Columns) -> Condensed:
-    """Condense a body to its columns; `Condensed.changes` carries the derivatives, forward and reverse, in the material."""
-    lame = material.lame()
-    solution = jax.lax.stop_gradient(_influence(lame, body, solver, columns))
-    matrix, iterations, residual, converged = _reduced(columns, solution)
-    return Condensed(body, solution.displacement, matrix, lame, iterations, residual, converged)
 
 
 def displacement(body: Body, solver: AbstractSolver, material: Material, load: Field) -> Solution:

@@ -8,168 +8,78 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
-from ..contact.footprint import Interface
-from ..contact.indentation import Contact, press
 from ..errors import InputError
-from ..fem.body import Body, Material, body
+from ..fem.body import Body, body
 from ..fem.columns import Columns, columns_from_matrix
-from ..fem.compliance import Condensed, condense
-from ..fem.solver import AbstractSolver, Known, known, solver_for
+from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
 from ..geometry.presets import preset
 from ..geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
-from ..measure.afferent import rate, start
-from ..measure.receptor import QUANTITIES
-from ..measure.receptor import Receptor as ReceptorState
+from ..layers import LAYERS
+from ..measure.afferent import start
 from ..measurements import Measurement
 from ..mesh import Resolution, build_finger
 from ..parameters import Parameter
 from ..study import Study
+from .pressing import settle
 from .problem import Health, Problem
-from .rigs import Rig, foci, lay, plans
+from .readings import Instruments, Prediction, Solved
+from .rigs import foci, lay, plans
 from .wiring import Prior, Values, Wiring, priors, wiring
 
 ASSUMED_NOISE = 0.02  # of a measurement's largest value, where nobody says how noisy it is
 
 
-class Prediction(eqx.Module):
-    """Readings of every measurement, in its own unit, and the health of all solves and contacts behind them.
-
-    - `readings`: one (rows,) array for each measurement. `quantity`: for spike rates, what the receptor felt, else zeros.
-    - `settled`: every contact was decided; `inside`: none reached the edge of the pad that was prepared.
-    """
-
-    readings: tuple[Float[Array, " _"], ...]
-    quantity: tuple[Float[Array, " _"], ...]
-    converged: Bool[Array, ""]
-    settled: Bool[Array, ""]
-    inside: Bool[Array, ""]
-    iterations: Int[Array, ""]
-    residual: Float[Array, ""]
-
-    @property
-    def health(self) -> Health:
-        return Health(self.converged & self.settled & self.inside, self.iterations, self.residual)
-
-
 class Model(eqx.Module):
-    """A study made ready to be computed. Arrays are leaves: hand it to compiled functions as an argument."""
+    """A study made ready to be computed: the body, how it is solved, and the instruments on it."""
 
     body: Body
     solver: AbstractSolver
     columns: Columns
-    rigs: tuple[Rig, ...]
-    wired: Wiring = eqx.field(static=True)
-    variants: tuple[tuple[tuple[str, str], ...], ...] = eqx.field(static=True)
-    names: tuple[str, ...] = eqx.field(static=True)
-    lengths: tuple[int, ...] = eqx.field(static=True)
-    receptor_layer: tuple[tuple[int, int], ...] = eqx.field(static=True)
-    known: tuple[Known, ...] | None = None
+    instruments: Instruments
 
-    def materials(self, values: Values) -> list[Material]:
-        """The tissue of each variant: of every subject, say, that has moduli of its own."""
-        return [self.wired.material(dict(labels), values) for labels in self.variants]
+    @property
+    def wired(self) -> Wiring:
+        return self.instruments.wired
 
-    def solved(self, values: Values) -> Model:
-        """The same model with the linear solves at these values done: it holds there, and so do its derivatives."""
-        found = tuple(known(self.solver, self.body, tissue.lame(), self.columns) for tissue in self.materials(values))
-        # Without its solver, whose host memory compiled code would otherwise keep alive as part of its key.
-        return dataclasses.replace(self, known=found, solver=found[0])
+    def solved(self, values: Values, *, moving: tuple[str, ...] = ()) -> Solved:
+        """The model with its solves and contacts at these values done: it holds there, and so do derivatives in the `moving` names."""
+        lame = [tissue.lame() for tissue in self.instruments.materials(values)]
+        bodies = [self.solver.condense(self.body, each, self.columns) for each in lame]
+        return Solved(self.instruments, settle(self.instruments.rigs, bodies, self.body, self._directions(values, moving)))
 
-    def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
-        """Every reading at these values; names that are missing keep the study's own.
-
-        `quantity` names what the receptor is taken to feel, one of `measure.receptor.QUANTITIES`.
-        """
-        solvers = self.known or (self.solver,) * len(self.variants)
-        pairs = zip(solvers, self.materials(values), strict=True)
-        bodies = [condense(self.body, solver, tissue, self.columns) for solver, tissue in pairs]
-        readings = [jnp.zeros(length) for length in self.lengths]
-        felt = [jnp.zeros(length) for length in self.lengths]
-        settled, inside = jnp.asarray(True), jnp.asarray(True)
-        for rig in self.rigs:
-            contact, observed = pressed(rig, bodies)
-            settled, inside = settled & contact.settled.all(), inside & ~contact.reached_edge.any()
-            value, sensed = self._rows(rig, contact, observed, values, quantity)
-            readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(value)
-            felt[rig.measurement] = felt[rig.measurement].at[rig.row].set(sensed)
-        return Prediction(
-            tuple(readings),
-            tuple(felt),
-            jnp.stack([each.converged for each in bodies]).all(),
-            settled,
-            inside,
-            jnp.stack([each.iterations for each in bodies]).max(),
-            jnp.stack([each.residual for each in bodies]).max(),
-        )
-
-    def _rows(self, rig: Rig, contact: Contact, observed: Array, values: Values, quantity: str) -> tuple[Array, Array]:
-        if rig.kind == "force_displacement":
-            each = contact.travel if rig.forced else contact.force
-            return each[rig.case], jnp.zeros(rig.row.shape)
-        if rig.kind == "deflection_profile":
-            return observed[rig.case, rig.reading], jnp.zeros(rig.row.shape)
-        strain = observed[rig.case[:, None], rig.reading[:, None] + jnp.arange(6)]
-        layer = dict(self.receptor_layer)[rig.measurement]
-        tissues = self.materials(values)
-        E = jnp.stack([tissue.youngs_modulus[layer] for tissue in tissues])[rig.variant[rig.case]]
-        nu = jnp.stack([tissue.poisson_ratio[layer] for tissue in tissues])[rig.variant[rig.case]]
-        felt = QUANTITIES[quantity](ReceptorState(strain, E, nu))
-        return self._rate(rig, felt, values), felt
-
-    def _rate(self, rig: Rig, felt: Array, values: Values) -> Array:
-        name, labels = self.names[rig.measurement], [dict(each) for each in self.variants]
-        scale = jnp.stack([self.wired.value(f"{name}.scale", each, values) for each in labels])
-        threshold = jnp.stack([self.wired.value(f"{name}.threshold", each, values) for each in labels])
-        which = rig.variant[rig.case]
-        return rate(felt, scale[which], threshold[which])
+    def _directions(self, values: Values, moving: tuple[str, ...]) -> Float[Array, "variants d 2 layers"]:
+        """Orthonormal directions that span how each variant's Lame parameters follow the moving values."""
+        here = {name: jnp.asarray(values[name], float) for name in moving if name in values}
+        slope = _lame_slopes(self.wired, self.instruments.variants, here, dict(values))
+        variants = len(self.instruments.variants)
+        flat = np.zeros((variants, 0, 2 * len(LAYERS)))
+        if slope:
+            flat = np.stack([np.asarray(part).reshape(variants, -1) for part in slope.values()], axis=1)
+        _, size, basis = np.linalg.svd(flat, full_matrices=False)
+        rank = int((size > 1e-12 * size.max(initial=0.0)).sum(axis=1).max(initial=0))
+        return jnp.asarray(basis[:, :rank].reshape(variants, rank, 2, len(LAYERS)))
 
 
-def pressed(rig: Rig, bodies: list[Condensed]) -> tuple[Contact, Float[Array, "cases m"]]:
-    """Every indentation of a rig, and every column's reading under it.
+def _lame_slopes(wired: Wiring, variants: tuple, here: dict[str, Array], values: dict[str, Any]) -> dict[str, Array]:
+    def lame(moved: dict[str, Array]) -> Array:
+        return jnp.stack([wired.material(dict(labels), values | moved).lame() for labels in variants])
 
-    The contact is found with the compliance held. Then the nodal forces it ended with say which change of the compliance matters,
-    and one more solve on the same active set carries the derivatives: a product with the stiffness for each case, not for each column.
-    """
-    C = jnp.stack([each.matrix for each in bodies])
-
-    def geometry(pose: Array) -> Interface:
-        return jax.tree.map(lambda leaf: leaf[pose], rig.interface)
-
-    def push(interface: Interface, between: Array, imposed: Array, start: Array | None) -> Contact:
-        force, travel = (imposed, None) if rig.forced else (None, imposed)
-        return press(between, interface, travel=travel, force=force, start=start)
-
-    def settle(pose: Array, imposed: Array, variant: Array) -> tuple[Contact, Array]:
-        columns = rig.columns[pose]
-        contact = push(geometry(pose), C[variant][columns[:, None], columns[None, :]], imposed, None)
-        return contact, jnp.zeros(C.shape[1]).at[columns].add(contact.nodal_forces)
-
-    def carry(pose: Array, imposed: Array, variant: Array, active: Array, change: Array) -> tuple[Contact, Array]:
-        columns, interface = rig.columns[pose], geometry(pose)
-        shifted = eqx.tree_at(lambda one: one.overlap, interface, interface.overlap - interface.load.T @ change[columns])
-        contact = push(shifted, C[variant][columns[:, None], columns[None, :]], imposed, active)
-        return contact, C[variant][:, columns] @ contact.nodal_forces + change
-
-    # One case after the other: jaxlib's batched dense solves wait for one another on XLA's own threads, and two at once can take them all.
-    cases = (rig.pose, rig.imposed, rig.variant)
-    first, forces = jax.lax.stop_gradient(jax.lax.map(lambda case: settle(*case), cases))
-    changes = jnp.stack([each.changes(forces) for each in bodies])
-    change = changes[rig.variant, jnp.arange(len(rig.variant))]
-    return jax.lax.map(lambda case: carry(*case), (*cases, first.active, change))
+    return {name: part for name, part in jax.jacfwd(lame)(here).items() if np.any(np.asarray(part) != 0)} if here else {}
 
 
 class Residuals(eqx.Module):
     """(prediction - data) / sigma of every row, then one residual for each prior; a function of the raw free parameters."""
 
-    model: Model
+    model: Model | Solved
     data: tuple[Float[Array, " _"], ...]
     sigma: tuple[Float[Array, " _"], ...]
     priors: tuple[Prior, ...]
@@ -180,10 +90,13 @@ class Residuals(eqx.Module):
 
     def prepared(self, raw: Float[Array, " p"]) -> Residuals:
         """The same residuals with the linear solves at `raw` done."""
-        return dataclasses.replace(self, model=self.model.solved(self.values(raw)))
+        assert isinstance(self.model, Model), "residuals are prepared once"
+        names = tuple(parameter.name for parameter in self.parameters)
+        return dataclasses.replace(self, model=self.model.solved(self.values(raw), moving=names))
 
     def __call__(self, raw: Float[Array, " p"]) -> tuple[Float[Array, " rows"], Health]:
         values = self.values(raw)
+        assert isinstance(self.model, Solved), "residuals are read once they are prepared"
         prediction = self.model.predict(values)
         rows = [(f - y) / s for f, y, s in zip(prediction.readings, self.data, self.sigma, strict=True)]
         known = [jnp.atleast_1d((values[prior.name] - prior.mean) / prior.sd) for prior in self.priors]
@@ -242,7 +155,7 @@ def _begin(parameter: Parameter, begun: Mapping[str, float]) -> Parameter:
 
 
 @eqx.filter_jit
-def _predict(model: Model, values: dict[str, Array], quantity: str) -> Prediction:
+def _predict(model: Solved, values: dict[str, Array], quantity: str) -> Prediction:
     return model.predict(values, quantity)
 
 
@@ -304,12 +217,14 @@ def lay_out(study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, so
         body=tissue,
         solver=solver_for(tissue, solver),
         columns=columns_from_matrix(laid.columns),
-        rigs=laid.rigs,
-        wired=wired,
-        variants=wired.variants(study.measurements),
-        names=tuple(one.name for one in study.measurements),
-        lengths=tuple(len(one) for one in study.measurements),
-        receptor_layer=tuple(laid.receptor_layer.items()),
+        instruments=Instruments(
+            rigs=laid.rigs,
+            wired=wired,
+            variants=wired.variants(study.measurements),
+            names=tuple(one.name for one in study.measurements),
+            lengths=tuple(len(one) for one in study.measurements),
+            receptor_layer=tuple(laid.receptor_layer.items()),
+        ),
     )
     return Assembled(study, solid, finger, model)
 

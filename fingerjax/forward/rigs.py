@@ -242,7 +242,7 @@ def _only(geometry: Interface, kept: np.ndarray) -> Interface:
     whole = np.all(pieces >= 0, axis=1)
     left = {name: one[name][kept] for name in ("overlap", "area", "rim")}
     left |= {"load": np.eye(len(kept)), "lowest": one["lowest"], "pieces": pieces[whole], "covered": one["covered"][whole]}
-    return Interface(**{name: jnp.asarray(part[None]) for name, part in left.items()})
+    return jax.tree.unflatten(jax.tree.structure(geometry), [jnp.asarray(left[name][None]) for name in one])
 
 
 def _indentations(plan: Plan, limit: float) -> list[Indentation]:

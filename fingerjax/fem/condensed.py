@@ -1,0 +1,120 @@
+"""A body at one material, reduced to its columns: what they read under each other's loads, and answers to any other load.
+
+    C = B' K^-1 B        dC f = - B' K^-1 dK u,   u = K^-1 B f
+
+Contact needs C alone. Under the forces f that a contact ends with, only the change of C in their direction matters: one product with the
+stiffness and one more answer for each indentation and each way in which the material can move, however many columns there are.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Array, Bool, Float, Int
+
+from .body import Body
+from .carried import Carriage
+from .columns import Columns
+from .operator import Lame, internal_force
+
+Fields = Float[Array, "k nodes 3"]
+
+
+class Held(eqx.Module):
+    """Readings per unit load, `matrix` (m, m), with the material held at `lame`, and how well the solves behind it went."""
+
+    matrix: Float[Array, "m m"]
+    lame: Lame
+    iterations: Int[Array, ""]
+    residual: Float[Array, ""]
+    converged: Bool[Array, ""]
+
+
+class AbstractCondensed(abc.ABC):
+    """A body at one material behind its columns. Lives outside compiled code: it may hold a factorisation."""
+
+    held: Held
+
+    @abc.abstractmethod
+    def displacement(self, forces: Float[Array, "k m"]) -> Fields:
+        """The displacement, mm, under each set of column forces, N."""
+
+    @abc.abstractmethod
+    def readings(self, loads: Fields) -> Float[Array, "k m"]:
+        """What the columns read under other nodal forces, N."""
+
+
+@eqx.filter_jit
+def _products(body: Body, directions: Float[Array, "d 2 layers"], u: Fields) -> Float[Array, "d k nodes 3"]:
+    return jax.lax.map(lambda lame: jax.lax.map(lambda each: internal_force(body, lame, each), u), directions)
+
+
+def slopes(condensed: AbstractCondensed, body: Body, forces: Float[Array, "k m"], directions: Float[Array, "d 2 layers"]) -> Array:
+    """How readings change with the material under given column forces: (k, d, m), for each direction of the Lame parameters."""
+    k, d = len(forces), len(directions)
+    if k * d == 0:
+        return jnp.zeros((k, d, forces.shape[1]))
+    moved = _products(body, directions, condensed.displacement(forces))
+    read = condensed.readings(moved.reshape(-1, *moved.shape[2:]))
+    return -jnp.swapaxes(jnp.asarray(read).reshape(d, k, -1), 0, 1)
+
+
+class ByColumns(AbstractCondensed):
+    """Every column's displacement at hand, (m, n, 3): all else is a dense product."""
+
+    def __init__(self, held: Held, influence: Fields):
+        self.held, self.influence = held, influence
+
+    def displacement(self, forces: Float[Array, "k m"]) -> Fields:
+        return _combined(forces, self.influence)
+
+    def readings(self, loads: Fields) -> Float[Array, "k m"]:
+        return _worked(loads, self.influence)
+
+
+@eqx.filter_jit
+def _combined(forces: Array, influence: Array) -> Array:
+    # Plain matrix products: XLA is slow at other contractions on a CPU.
+    return (forces @ influence.reshape(len(influence), -1)).reshape(len(forces), *influence.shape[1:])
+
+
+@eqx.filter_jit
+def _worked(loads: Array, influence: Array) -> Array:
+    return loads.reshape(len(loads), -1) @ influence.reshape(len(influence), -1).T
+
+
+class ByFactor(AbstractCondensed):
+    """A factorisation at hand, and the carried bone's motions: displacements are solved for when they are asked for.
+
+    - `solve`: (free unknowns, k) loads -> displacements (k, n, 3) with the bone held.
+    - `matrix`: the columns, (3n, m) sparse; `free`: which of the 3n unknowns are free.
+    """
+
+    def __init__(self, held: Held, solve: Callable[[np.ndarray], np.ndarray], matrix: sp.csc_matrix, free: np.ndarray, bone: Carriage):
+        self.held, self.bone = held, bone
+        self._solve, self._matrix, self._free = solve, matrix, free
+
+    def displacement(self, forces: Float[Array, "k m"]) -> Fields:
+        return self._answer(np.asarray((self._matrix @ np.asarray(forces).T).T))
+
+    def readings(self, loads: Fields) -> Float[Array, "k m"]:
+        flat = np.asarray(loads).reshape(len(loads), -1)
+        return jnp.asarray((self._matrix.T @ np.asarray(self._answer(flat)).reshape(len(flat), -1).T).T)
+
+    def _answer(self, loads: np.ndarray) -> Array:
+        held = self._solve(loads[:, self._free].T)
+        motions = np.asarray(self.bone.motions).reshape(len(self.bone.motions), loads.shape[1])
+        return self.bone.complete(jnp.asarray(held), jnp.asarray(motions @ loads.T))
+
+
+def probe(columns: Columns, condensed: AbstractCondensed) -> float:
+    """How far the matrix is from what a solve under a random mix of all columns reads, relative."""
+    mix = jnp.asarray(np.random.default_rng(0).choice([-1.0, 1.0], size=(1, columns.count)))
+    direct, through = columns.read(condensed.displacement(mix))[0], condensed.held.matrix @ mix[0]
+    return float(jnp.linalg.norm(direct - through) / jnp.linalg.norm(through))

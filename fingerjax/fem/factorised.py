@@ -1,0 +1,130 @@
+"""A body factorised on the host: full answers to any load, and the skin condensed within the factorisation itself."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from jaxtyping import Array
+
+from .assembly import Assembled
+from .body import Body
+from .carried import Carriage, bone_loads, carriage
+from .cholesky import Cholesky
+from .columns import Columns
+from .condensed import AbstractCondensed, ByFactor, Held, probe
+
+CONVERGED = 1e-8  # relative residual up to which a factorisation went well
+PARTIAL_FROM = 64  # columns from which on the skin is condensed in the factorisation itself
+PROBES = 8  # random combinations of all loads in which a factorisation's residual is measured
+
+
+class Host:
+    """The assembled pattern of one body and the last factorisation done with it; lives outside compiled code."""
+
+    def __init__(self, body: Body):
+        self.assembled = Assembled(body, upper=True)
+        self.nodes = len(body.free)
+        self._factor: Cholesky | None = None
+        self._kept = np.zeros(len(self.assembled.free), bool)
+        self._lame, self._K = np.zeros(0), sp.csr_matrix((0, 0))
+        self._last: tuple[Array, np.ndarray, AbstractCondensed] | None = None
+
+    def condense(self, body: Body, lame: np.ndarray, columns: Columns) -> AbstractCondensed:
+        """The body behind its columns; that of the last moduli is kept, for fits that move something else."""
+        if self._last is None or self._last[0] is not columns.weight or not np.array_equal(self._last[1], lame):
+            self._last = None
+            self._last = (columns.weight, lame.copy(), self._condensed(body, lame, columns))
+        return self._last[2]
+
+    def _condensed(self, body: Body, lame: np.ndarray, columns: Columns) -> AbstractCondensed:
+        matrix, known = columns.matrix(), jnp.asarray(lame)
+        kept, flat = _touched(columns, matrix)[self.assembled.free], sp.csr_matrix(matrix)[self.assembled.free]
+        surface = np.asarray((flat != 0).sum(axis=0)).ravel() == np.asarray((flat[kept] != 0).sum(axis=0)).ravel()
+        if columns.count < PARTIAL_FROM or not kept.any():
+            kept, surface = np.zeros(len(kept), bool), np.zeros(columns.count, bool)
+        schur = self._at(lame, kept)
+        bone = np.asarray(bone_loads(body, known)).reshape(len(body.modes), 3 * self.nodes)[:, self.assembled.free].T
+        others = flat[:, ~surface].toarray()
+        found, residual = self.direct(lame, np.hstack([others, bone]))
+        riding = carriage(body, known, jnp.asarray(found[others.shape[1] :]))
+        C = self._read(flat, surface, found[: others.shape[1]], schur, kept)
+        work = matrix.T @ np.asarray(riding.motions).reshape(len(body.modes), 3 * self.nodes).T
+        C = C + work @ np.asarray(riding.gives(jnp.asarray(work.T)))
+        return self._answering(lame, columns, riding, matrix, C, residual)
+
+    def _read(
+        self, flat: sp.csr_matrix, surface: np.ndarray, others: np.ndarray, schur: np.ndarray | None, kept: np.ndarray
+    ) -> np.ndarray:
+        """Readings per unit load with the bone held: from the Schur complement at the surface, from solves for the other columns."""
+        C = np.zeros((flat.shape[1],) * 2)
+        if schur is not None and surface.any():
+            hats = flat[kept][:, surface].toarray()
+            lower = scipy.linalg.cholesky(schur, lower=True, overwrite_a=True, check_finite=False)
+            half = scipy.linalg.solve_triangular(lower, hats, lower=True, check_finite=False)
+            C[np.ix_(surface, surface)] = half.T @ half
+        seen = flat.T @ others.reshape(len(others), 3 * self.nodes)[:, self.assembled.free].T
+        C[:, ~surface], C[~surface] = seen, seen.T
+        return C
+
+    def _answering(
+        self, lame: np.ndarray, columns: Columns, riding: Carriage, matrix: sp.csc_matrix, C: np.ndarray, residual: float
+    ) -> AbstractCondensed:
+        def held(residual: float) -> Held:
+            ended = jnp.asarray(1), jnp.asarray(residual), jnp.asarray(residual <= CONVERGED)
+            return Held(jnp.asarray((C + C.T) / 2), jnp.asarray(lame), *ended)
+
+        def solve(right: np.ndarray) -> np.ndarray:
+            return self.direct(lame, right)[0]
+
+        condensed = ByFactor(held(residual), solve, matrix, self.assembled.free, riding)
+        condensed.held = held(max(residual, probe(columns, condensed)))
+        return condensed
+
+    def solve(self, lame: Array | np.ndarray, loads: Array | np.ndarray) -> tuple[np.ndarray, float]:
+        """Displacements (m, n, 3) under loads (m, n, 3), and the relative residual of them all."""
+        flat = np.asarray(loads).reshape(len(loads), 3 * self.nodes)
+        return self.direct(np.asarray(lame), flat[:, self.assembled.free].T)
+
+    def direct(self, lame: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
+        """Displacements (m, n, 3) under loads (free, m) between free unknowns, and the residual of them all."""
+        self._at(lame)
+        assert self._factor is not None
+        x = self._factor.solve(right)
+        full = np.zeros((right.shape[1], 3 * self.nodes))
+        full[:, self.assembled.free] = x.T
+        return full.reshape(-1, self.nodes, 3), _probed(self._K, x, right) if right.shape[1] else 0.0
+
+    def _at(self, lame: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray | None:
+        """Factorise at these moduli unless that was done last; with `kept`, always, for the Schur complement of those unknowns."""
+        wanted = self._kept if kept is None else kept
+        other_pattern = self._factor is None or not np.array_equal(wanted, self._kept)
+        if not other_pattern and kept is None and np.array_equal(self._lame, lame):
+            return None
+        self._K, self._lame = self.assembled.matrix(lame), lame.copy()
+        if other_pattern:
+            self._factor = None  # its memory goes before the next one's comes
+            self._factor = Cholesky(self._K.indptr, self._K.indices, wanted if wanted.any() else None)
+            self._kept = wanted
+        assert self._factor is not None
+        return self._factor.factor(self._K.data)
+
+
+def _touched(columns: Columns, matrix: sp.csc_matrix) -> np.ndarray:
+    """(3n,) bool: unknowns that are loaded by columns which act along y alone, as those of the skin do."""
+    weight = np.asarray(columns.weight)
+    along_y = ~np.any(weight[..., [0, 2]] != 0, axis=(1, 2))
+    return np.asarray(abs(matrix[:, along_y]).sum(axis=1)).ravel() > 0
+
+
+def _probed(upper: sp.csr_matrix, x: np.ndarray, right: np.ndarray) -> float:
+    """Largest relative residual of `K x = right` in random combinations of its columns; `upper` is K's upper triangle.
+
+    A factorisation fails as a whole, not in one column, and a combination of all of them sees that at a fraction of the cost.
+    """
+    mix = np.random.default_rng(0).choice([-1.0, 1.0], size=(right.shape[1], min(PROBES, right.shape[1])))
+    load, u = right @ mix, x @ mix
+    remainder = load - (upper @ u + upper.T @ u - upper.diagonal()[:, None] * u)
+    norm = np.linalg.norm(load, axis=0)
+    return float(np.max(np.linalg.norm(remainder, axis=0) / np.where(norm > 0, norm, 1.0)))

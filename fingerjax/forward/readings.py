@@ -1,0 +1,110 @@
+"""What every instrument reads, once the linear solves are done and the contacts are decided."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..contact.indentation import Contact
+from ..fem.body import Material
+from ..measure.afferent import rate
+from ..measure.receptor import QUANTITIES
+from ..measure.receptor import Receptor as ReceptorState
+from .pressing import Known, pressed
+from .problem import Health
+from .rigs import Rig
+from .wiring import Values, Wiring
+
+
+class Prediction(eqx.Module):
+    """Readings of every measurement, in its own unit, and the health of all solves and contacts behind them.
+
+    - `readings`: one (rows,) array for each measurement. `quantity`: for spike rates, what the receptor felt, else zeros.
+    - `settled`: every contact was decided; `inside`: none reached the edge of the pad that was prepared.
+    """
+
+    readings: tuple[Float[Array, " _"], ...]
+    quantity: tuple[Float[Array, " _"], ...]
+    converged: Bool[Array, ""]
+    settled: Bool[Array, ""]
+    inside: Bool[Array, ""]
+    iterations: Int[Array, ""]
+    residual: Float[Array, ""]
+
+    @property
+    def health(self) -> Health:
+        return Health(self.converged & self.settled & self.inside, self.iterations, self.residual)
+
+
+class Instruments(eqx.Module):
+    """The rigs of a study, and how its parameters reach them."""
+
+    rigs: tuple[Rig, ...]
+    wired: Wiring = eqx.field(static=True)
+    variants: tuple[tuple[tuple[str, str], ...], ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    lengths: tuple[int, ...] = eqx.field(static=True)
+    receptor_layer: tuple[tuple[int, int], ...] = eqx.field(static=True)
+
+    def materials(self, values: Values) -> list[Material]:
+        """The tissue of each variant: of every subject, say, that has moduli of its own."""
+        return [self.wired.material(dict(labels), values) for labels in self.variants]
+
+    def read(self, known: Known, values: Values, quantity: str = "strain_energy_density") -> Prediction:
+        """Every reading at values where the solves are known; names that are missing keep the study's own.
+
+        `quantity` names what the receptor is taken to feel, one of `measure.receptor.QUANTITIES`.
+        """
+        away = known.away([tissue.lame() for tissue in self.materials(values)])
+        readings = [jnp.zeros(length) for length in self.lengths]
+        felt = [jnp.zeros(length) for length in self.lengths]
+        settled, inside = jnp.asarray(True), jnp.asarray(True)
+        for rig, touching in zip(self.rigs, known.rigs, strict=True):
+            contact, observed = pressed(rig, touching, known, away)
+            settled, inside = settled & contact.settled.all(), inside & ~contact.reached_edge.any()
+            value, sensed = self._rows(rig, contact, observed, values, quantity)
+            readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(value)
+            felt[rig.measurement] = felt[rig.measurement].at[rig.row].set(sensed)
+        bodies = known.held
+        return Prediction(
+            tuple(readings),
+            tuple(felt),
+            jnp.stack([each.converged for each in bodies]).all(),
+            settled,
+            inside,
+            jnp.stack([each.iterations for each in bodies]).max(),
+            jnp.stack([each.residual for each in bodies]).max(),
+        )
+
+    def _rows(self, rig: Rig, contact: Contact, observed: Array, values: Values, quantity: str) -> tuple[Array, Array]:
+        if rig.kind == "force_displacement":
+            each = contact.travel if rig.forced else contact.force
+            return each[rig.case], jnp.zeros(rig.row.shape)
+        if rig.kind == "deflection_profile":
+            return observed[rig.case, rig.reading], jnp.zeros(rig.row.shape)
+        strain = observed[rig.case[:, None], rig.reading[:, None] + jnp.arange(6)]
+        layer = dict(self.receptor_layer)[rig.measurement]
+        tissues = self.materials(values)
+        E = jnp.stack([tissue.youngs_modulus[layer] for tissue in tissues])[rig.variant[rig.case]]
+        nu = jnp.stack([tissue.poisson_ratio[layer] for tissue in tissues])[rig.variant[rig.case]]
+        felt = QUANTITIES[quantity](ReceptorState(strain, E, nu))
+        return self._rate(rig, felt, values), felt
+
+    def _rate(self, rig: Rig, felt: Array, values: Values) -> Array:
+        name, labels = self.names[rig.measurement], [dict(each) for each in self.variants]
+        scale = jnp.stack([self.wired.value(f"{name}.scale", each, values) for each in labels])
+        threshold = jnp.stack([self.wired.value(f"{name}.threshold", each, values) for each in labels])
+        which = rig.variant[rig.case]
+        return rate(felt, scale[which], threshold[which])
+
+
+class Solved(eqx.Module):
+    """A model with the solves and contacts at some values done: what compiled code reads and differentiates."""
+
+    instruments: Instruments
+    known: Known
+
+    def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
+        """Every reading at the values that the model was solved at."""
+        return self.instruments.read(self.known, values, quantity)

@@ -1,0 +1,86 @@
+"""A condensed body: whichever way it was condensed, its columns read the same, and it answers loads that are not among them."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from fingerjax.fem.body import material
+from fingerjax.fem.cholesky import Cholesky
+from fingerjax.fem.columns import columns_from_matrix
+from fingerjax.fem.condensed import ByColumns, ByFactor, probe
+from fingerjax.fem.factorised import PARTIAL_FROM
+from fingerjax.fem.locate import strain_columns
+from fingerjax.fem.solver import direct_available, solver_for
+
+from .fem_tools import cube_body
+
+needs_direct = pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
+SKIN = material({"epidermis": 0.18, "dermis": 0.018, "adipose": 0.012, "fibrous": 0.03}, 0.48)
+
+
+@pytest.fixture(scope="module")
+def body():
+    return cube_body(4, layers=4)
+
+
+def columns_of(body, every):
+    """Heights of nodes of the lower face, and a strain inside."""
+    face = np.flatnonzero(np.asarray(body.nodes)[:, 1] < 1e-9)[::every]
+    heights = sp.csc_matrix((np.ones(len(face)), (3 * face + 1, np.arange(len(face)))), shape=(3 * len(body.free), len(face)))
+    return columns_from_matrix(sp.hstack([heights, strain_columns(body, np.array([0.52, 0.3, 0.47]))[0]]).tocsc())
+
+
+@needs_direct
+@pytest.mark.parametrize("every", [1, 9])
+def test_both_solvers_condense_to_the_same(body, every):
+    columns = columns_of(body, every)
+    assert (columns.count >= PARTIAL_FROM) == (every == 1)
+    iterated, factored = (solver_for(body, kind).condense(body, SKIN.lame(), columns) for kind in ("multigrid", "factorised"))
+    assert isinstance(iterated, ByColumns) and isinstance(factored, ByFactor)
+    assert iterated.held.converged and factored.held.converged and factored.held.residual < 1e-10
+    size = float(jnp.abs(iterated.held.matrix).max())
+    np.testing.assert_allclose(factored.held.matrix, iterated.held.matrix, atol=1e-7 * size)
+    forces = jnp.asarray(np.random.default_rng(0).normal(size=(3, columns.count)))
+    u, v = iterated.displacement(forces), factored.displacement(forces)
+    np.testing.assert_allclose(v, u, atol=1e-7 * float(jnp.abs(u).max()))
+    np.testing.assert_allclose(columns.read(v), forces @ factored.held.matrix, atol=1e-9 * float(jnp.abs(columns.read(v)).max()))
+    loads = jnp.asarray(np.random.default_rng(1).normal(size=(2, *body.nodes.shape))) * body.free[:, None]
+    one, other = iterated.readings(loads), factored.readings(loads)
+    np.testing.assert_allclose(other, one, atol=1e-7 * float(jnp.abs(one).max()))
+
+
+@needs_direct
+def test_an_older_condensation_still_answers_for_its_own_material(body):
+    columns, solver = columns_of(body, 1), solver_for(body, "factorised")
+    first = solver.condense(body, SKIN.lame(), columns)
+    second = solver.condense(body, 2.0 * SKIN.lame(), columns)
+    assert probe(columns, first) < 1e-10 and probe(columns, second) < 1e-10
+    np.testing.assert_allclose(first.held.matrix, 2.0 * second.held.matrix, rtol=1e-9)
+
+
+@needs_direct
+def test_the_schur_complement_is_the_stiffness_of_what_is_kept():
+    random = np.random.default_rng(3)
+    A = sp.random(80, 80, 0.08, random_state=3)
+    K = sp.csr_matrix(A @ A.T + 2.0 * sp.eye(80))
+    kept = random.random(80) < 0.15
+    upper = sp.triu(K, format="csr")
+    upper.sort_indices()
+    factor = Cholesky(upper.indptr, upper.indices, kept)
+    for scale in (1.0, 3.0):
+        schur = factor.factor(scale * upper.data)
+        dense = scale * K.toarray()
+        np.testing.assert_allclose(np.linalg.inv(schur), np.linalg.inv(dense)[np.ix_(kept, kept)], atol=1e-12)
+        right = random.normal(size=(80, 2))
+        np.testing.assert_allclose(dense @ factor.solve(right), right, atol=1e-10)
+
+
+@needs_direct
+def test_a_matrix_that_is_not_positive_definite_is_refused():
+    upper = sp.csr_matrix(np.triu(np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.5], [0.0, 0.5, 1.0]])))
+    factor = Cholesky(upper.indptr, upper.indices)
+    with pytest.raises(ValueError, match="not positive definite"):
+        factor.factor(upper.data)
