@@ -72,7 +72,8 @@ def check_on_interface(solid: LayeredSolid, finger: Finger, layer: int, nodes: n
     off = nodes[np.abs(solid.level(layer, finger.nodes[nodes])) > 1e-6]
     assert len(off) <= finger.quality["straightened"] <= 0.01 * len(finger.nodes)
     assert not np.isin(off, finger.tets[:, :4]).any()
-    assert np.abs(solid.level(layer, finger.nodes[off])).max(initial=0.0) < 0.05
+    # The sag of a straight edge of 0.9 mm on a bone of 1.2 mm radius; which edges are pulled straight differs from mesh to mesh.
+    assert np.abs(solid.level(layer, finger.nodes[off])).max(initial=0.0) < 0.085
 
 
 def test_interfaces_lie_on_the_solids_own() -> None:

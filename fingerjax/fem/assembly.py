@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import scipy.sparse as sp
 
 from .body import Body
 
+CHUNK = 20_000  # elements whose matrices are held at a time
 
-def element_matrices(body: Body) -> tuple[np.ndarray, np.ndarray]:
-    """Element stiffness (e, 3a, 3a) per unit of Lame's first parameter and per unit of shear modulus, mm."""
-    inverse = np.broadcast_to(np.asarray(body.inverse), (*body.weight.shape, 3, 3))
+
+def chunks(body: Body) -> Iterator[slice]:
+    """The elements in portions whose matrices fit into memory."""
+    return (slice(begin, begin + CHUNK) for begin in range(0, len(body.tets), CHUNK))
+
+
+def element_matrices(body: Body, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness (e, 3a, 3a) of a part of the elements, per unit of Lame's first parameter and per unit of shear modulus, mm."""
+    weight = np.asarray(body.weight)[part]
+    inverse = np.broadcast_to(np.asarray(body.inverse)[part], (*weight.shape, 3, 3))
     slope = np.einsum("qak,eqkj->eqaj", np.asarray(body.slopes), inverse, optimize=True)
-    outer = np.einsum("eq,eqai,eqbj->eaibj", np.asarray(body.weight), slope, slope, optimize=True)
+    outer = np.einsum("eq,eqai,eqbj->eaibj", weight, slope, slope, optimize=True)
     square = np.einsum("eaibi->eab", outer)[:, :, None, :, None] * np.eye(3)[None, None, :, None, :]
     size = outer.shape[1] * 3
     shear = np.swapaxes(outer, 2, 4) + square

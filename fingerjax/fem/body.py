@@ -76,8 +76,8 @@ class Body(eqx.Module):
 
     - `tets` (e, a), `layer` (e,), `free` (n,): 1 where a node moves on its own, 0 on the nail and on a rigid bone.
     - `modes` (6 or 0, n, 3): orthonormal rigid motions of a bone that the tissue carries, zero elsewhere; none where it is held.
-    - `slopes` (q, a, 3): reference gradients; `inverse` (e, q or 1, 3, 3): d reference / d position, 1/mm;
-      `weight` (e, q): quadrature weight times Jacobian, mm^3.
+    - `slopes` (q, a, 3): reference gradients; `inverse_along` (q or 1, k, j, e): d reference k / d position j, 1/mm;
+      `weight_along` (q, e): quadrature weight times Jacobian, mm^3. Elements come last, so that arithmetic runs along them.
     """
 
     tets: Int[Array, "elements corners"]
@@ -86,9 +86,17 @@ class Body(eqx.Module):
     modes: Float[Array, "modes nodes 3"]
     nodes: Float[Array, "nodes 3"]
     slopes: Float[Array, "points corners 3"]
-    inverse: Float[Array, "elements _ 3 3"]
-    weight: Float[Array, "elements points"]
+    inverse_along: Float[Array, "_ 3 3 elements"]
+    weight_along: Float[Array, "points elements"]
     incidence: Incidence
+
+    @property
+    def inverse(self) -> Float[Array, "elements _ 3 3"]:
+        return jnp.moveaxis(self.inverse_along, 3, 0)
+
+    @property
+    def weight(self) -> Float[Array, "elements points"]:
+        return self.weight_along.T
 
     @property
     def order(self) -> int:
@@ -161,8 +169,8 @@ def assemble_body(
         modes=jnp.asarray(rigid_modes(nodes, carried)),
         nodes=jnp.asarray(nodes),
         slopes=jnp.asarray(slopes),
-        inverse=jnp.asarray(inverse),
-        weight=jnp.asarray(determinant * weights),
+        inverse_along=jnp.asarray(np.moveaxis(inverse, 0, 3).copy()),
+        weight_along=jnp.asarray((determinant * weights).T.copy()),
         incidence=incidence(tets, len(nodes)),
     )
 

@@ -1,12 +1,14 @@
 """One V-cycle of multigrid as the preconditioner: quadratic tetrahedra, then linear ones, then aggregates with rigid-body modes.
 
-The transfers are made once for a mesh, at equal moduli, and kept; the level below is formed anew from the moduli inside compiled code,
-since every level is affine in the Lame parameters. A stale hierarchy would cost iterations, never accuracy, and is not differentiated.
+The transfers are made once for a mesh, at equal moduli, and kept; the levels below are formed anew from the moduli inside compiled code,
+since every level is affine in the Lame parameters (Galerkin throughout). A stale hierarchy would cost iterations, never accuracy, and is
+not differentiated. The cycle runs in single precision: it has to be good, not exact.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,11 +18,15 @@ import pyamg
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
-from .assembly import Assembled
-from .body import Body, Incidence, assemble_body, incidence
+from .affine import Affine, Terms
+from .assembly import chunks, element_matrices
+from .body import Body, Incidence, incidence
 from .element import EDGES
+from .groups import Groups, strong_groups, within
 from .krylov import Field
-from .operator import Lame, apply, diagonal_blocks
+from .operator import Lame, apply
+
+EQUAL = (12.0, 0.5)  # Lame parameters at which the transfers are made, the same in every layer: a Poisson's ratio of 0.48
 
 
 class Midsides(eqx.Module):
@@ -30,10 +36,24 @@ class Midsides(eqx.Module):
     children: Incidence
 
     def prolong(self, coarse: Float[Array, "corners 3"]) -> Field:
-        return 0.5 * coarse[self.parents].sum(axis=1)
+        return jnp.asarray(0.5, coarse.dtype) * coarse[self.parents].sum(axis=1)
 
     def restrict(self, fine: Field) -> Float[Array, "corners 3"]:
-        return self.children.accumulate(0.5 * jnp.repeat(fine, 2, axis=0))
+        return self.children.accumulate(jnp.asarray(0.5, fine.dtype) * jnp.repeat(fine, 2, axis=0))
+
+
+class Corners(eqx.Module):
+    """The level of the linear tetrahedra, as a sparse matrix: `neighbours` (n, w) and the blocks (n, w, 3, 3) between them and a node."""
+
+    neighbours: Int[Array, "n w"]
+    entries: Affine
+
+    def blocks(self, lame: Lame) -> Float[Array, "n w 3 3"]:
+        return self.entries(lame).reshape(*self.neighbours.shape, 3, 3)
+
+
+def multiply(neighbours: Int[Array, "n w"], blocks: Float[Array, "n w 3 3"], u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    return jnp.sum(blocks * u[neighbours][:, :, None, :], axis=(1, 3))
 
 
 class Aggregates(eqx.Module):
@@ -56,10 +76,12 @@ class Aggregates(eqx.Module):
 
 
 class Hierarchy(eqx.Module):
-    """The frozen part of the preconditioner for one body."""
+    """The frozen part of the preconditioner for one body; `midsides` and `groups` are absent for linear tetrahedra."""
 
-    corners: Body
     midsides: Midsides | None
+    groups: Groups | None
+    corners: Corners
+    corner_groups: Groups
     aggregates: Aggregates
 
 
@@ -68,20 +90,142 @@ def hierarchy(body: Body, *, coarsest: int = 900) -> Hierarchy:
 
     `coarsest` bounds the unknowns of the last level, which is factorised densely at every change of the moduli.
     """
-    corners, midsides = (body, None) if body.order == 1 else _corner_body(body)
-    return Hierarchy(corners, midsides, _aggregates(corners, coarsest))
+    used, parents, tets = _corners(body)
+    corner_tets = np.searchsorted(used, tets[:, :4])
+    free = np.asarray(body.free)[used] > 0
+    matrices = [_corner_terms(body, part) for part in chunks(body)]
+    corners, groups = _sparse_level(corner_tets, np.asarray(body.layer), free, matrices)
+    aggregates = _aggregates(np.asarray(body.nodes)[used], free, corners, _layers(body), coarsest)
+    if body.order == 1:
+        return Hierarchy(None, None, corners, groups, aggregates)
+    midsides = Midsides(jnp.asarray(parents, jnp.int32), incidence(parents, len(used)))
+    return Hierarchy(midsides, _fine_groups(body), corners, groups, aggregates)
 
 
-def _corner_body(body: Body) -> tuple[Body, Midsides]:
+def _layers(body: Body) -> int:
+    return int(np.asarray(body.layer).max()) + 1
+
+
+def _corners(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes that are corners, the two corners (as numbered among those) behind each node, and the elements."""
     tets = np.asarray(body.tets)
-    used, corner_tets = np.unique(tets[:, :4], return_inverse=True)
-    corner_tets = corner_tets.reshape(-1, 4)
-    corners = assemble_body(np.asarray(body.nodes)[used], corner_tets, np.asarray(body.layer), np.asarray(body.fixed)[used])
+    used = np.unique(tets[:, :4])
     number = np.full(len(body.free), -1)
     number[used] = np.arange(len(used))
     parents = np.stack([number, number], axis=1)
-    parents[tets[:, 4:].ravel()] = corner_tets[:, EDGES].reshape(-1, 2)
-    return corners, Midsides(jnp.asarray(parents, jnp.int32), incidence(parents, len(used)))
+    if body.order == 2:
+        parents[tets[:, 4:].ravel()] = number[tets[:, :4]][:, EDGES].reshape(-1, 2)
+    return used, parents, tets
+
+
+def _corner_terms(body: Body, part: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Element matrices (e, 4, 3, 4, 3) seen from the corners: a midside moves by the mean of its two corners."""
+    parts = element_matrices(body, part)
+    size = body.tets.shape[1]
+    share = np.eye(4)
+    if body.order == 2:
+        share = np.concatenate([share, 0.5 * (share[EDGES[:, 0]] + share[EDGES[:, 1]])])
+    shaped = (each.reshape(-1, size, 3, size, 3) for each in parts)
+    first, second = (np.einsum("ac,eaibj,bd->ecidj", share, each, share, optimize=True) for each in shaped)
+    return first, second
+
+
+def _pairs(tets: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of nodes that share an element, as row * nodes + column, sorted; and which pair each element's are, (e, a, a)."""
+    flat = (tets[:, :, None].astype(np.int64) * nodes + tets[:, None, :]).ravel()
+    pairs, which = np.unique(flat, return_inverse=True)
+    return pairs, which.reshape(len(tets), tets.shape[1], tets.shape[1])
+
+
+def _coupling(pairs: np.ndarray, blocks: np.ndarray, free: np.ndarray) -> sp.csr_matrix:
+    """Norms (n, n) of the blocks (pairs, 3, 3) between free nodes."""
+    row, column = np.divmod(pairs, len(free))
+    size = np.linalg.norm(blocks, axis=(1, 2)) * free[row] * free[column]
+    matrix = sp.csr_matrix((size, (row, column)), shape=(len(free),) * 2)
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _added(which: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """(count, 3, 3) sums of element blocks (e, a, 3, b, 3)."""
+    blocks = np.moveaxis(values, 3, 2).reshape(-1, 9)
+    return np.stack([np.bincount(which.ravel(), part, count) for part in blocks.T], axis=1).reshape(-1, 3, 3)
+
+
+def _equal(parts: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    return EQUAL[0] * parts[0] + EQUAL[1] * parts[1]
+
+
+def _sparse_level(
+    tets: np.ndarray, layer: np.ndarray, free: np.ndarray, matrices: list[tuple[np.ndarray, np.ndarray]]
+) -> tuple[Corners, Groups]:
+    first, second = (np.concatenate(part) for part in zip(*matrices, strict=True))
+    n = len(free)
+    pairs, which = _pairs(tets, n)
+    row, column = np.divmod(pairs, n)
+    slot = np.arange(len(pairs)) - np.repeat(np.searchsorted(row, np.arange(n)), np.bincount(row, minlength=n))
+    width = int(slot.max()) + 1
+    neighbours = np.zeros((n, width), np.int32)
+    neighbours[row, slot] = column
+    between = np.where(free[row] & free[column], 9 * (row * width + slot), -1)
+    terms = Terms(9 * n * width)
+    _add_blocks(terms, between[which], layer, (first, second))
+    members = strong_groups(_coupling(pairs, _added(which, _equal((first, second)), len(pairs)), free))
+    return Corners(jnp.asarray(neighbours), terms.affine()), _groups(members, tets, layer, free, [(slice(None), (first, second))])
+
+
+def _add_blocks(terms: Terms, place: np.ndarray, layer: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> None:
+    """Add element blocks (e, a, 3, b, 3) where `place` (e, a, b) says that each block's first entry belongs, row by row; -1: nowhere."""
+    here = place >= 0
+    at = place[here][:, None, None] + 3 * np.arange(3)[:, None] + np.arange(3)
+    owner = np.broadcast_to(layer[:, None, None], place.shape)[here]
+    values = (np.moveaxis(part, 3, 2)[here].ravel() for part in parts)
+    terms.add(at.ravel(), np.repeat(owner, 9), *values)
+
+
+def _groups(
+    members: np.ndarray,
+    tets: np.ndarray,
+    layer: np.ndarray,
+    free: np.ndarray,
+    matrices: Iterable[tuple[slice, tuple[np.ndarray, np.ndarray]]],
+) -> Groups:
+    """The groups with their blocks, from element matrices of parts of the elements."""
+    group, place = within(members, len(free))
+    g, s = members.shape
+    terms = Terms(g * 9 * s * s)
+    for part, parts in matrices:
+        here, there, block = place[tets[part]][:, :, None], place[tets[part]][:, None, :], group[tets[part]]
+        together = (block[:, :, None] == block[:, None, :]) & (block[:, :, None] >= 0)
+        corner = np.where(together, (block[:, :, None] * 3 * s + 3 * here) * 3 * s + 3 * there, -1)
+        _add_rows(terms, corner, 3 * s, layer[part], parts)
+    slot = np.where(group >= 0, group * s + place, g * s)
+    return Groups(jnp.asarray(members, jnp.int32), jnp.asarray(slot, jnp.int32), terms.affine())
+
+
+def _add_rows(terms: Terms, corner: np.ndarray, stride: int, layer: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> None:
+    """Add element blocks whose rows lie `stride` entries apart, each from its `corner` (e, a, b) on; -1: nowhere."""
+    here = corner >= 0
+    at = corner[here][:, None, None] + stride * np.arange(3)[:, None] + np.arange(3)
+    owner = np.broadcast_to(layer[:, None, None], corner.shape)[here]
+    terms.add(at.ravel(), np.repeat(owner, 9), *(np.moveaxis(part, 3, 2)[here].ravel() for part in parts))
+
+
+def _fine_groups(body: Body) -> Groups:
+    tets, free, n = np.asarray(body.tets), np.asarray(body.free) > 0, len(body.free)
+    a = tets.shape[1]
+    pairs, which = _pairs(tets, n)
+    blocks = np.zeros((len(pairs), 3, 3))
+    for part in chunks(body):
+        equal = _equal(element_matrices(body, part)).reshape(-1, a, 3, a, 3)
+        blocks += _added(which[part], equal, len(pairs))
+    members = strong_groups(_coupling(pairs, blocks, free))
+    shaped = ((part, _shaped(element_matrices(body, part), a)) for part in chunks(body))
+    return _groups(members, tets, np.asarray(body.layer), free, shaped)
+
+
+def _shaped(parts: tuple[np.ndarray, np.ndarray], a: int) -> tuple[np.ndarray, np.ndarray]:
+    return parts[0].reshape(-1, a, 3, a, 3), parts[1].reshape(-1, a, 3, a, 3)
 
 
 def rigid_body_modes(nodes: np.ndarray) -> np.ndarray:
@@ -95,19 +239,36 @@ def rigid_body_modes(nodes: np.ndarray) -> np.ndarray:
     return modes.reshape(-1, 6)
 
 
-def _aggregates(corners: Body, coarsest: int) -> Aggregates:
-    assembled = Assembled(corners, upper=False)
-    layers = int(np.asarray(corners.layer).max()) + 1
-    equal = np.ones((2, layers)) * np.array([[1.0], [1.0]])
-    K = assembled.matrix(equal).tobsr(blocksize=(3, 3))
-    modes = rigid_body_modes(np.asarray(corners.nodes))[assembled.free]
-    P = _prolongator(K, modes, coarsest)
-    parts = [[(P.T @ (assembled.part(layer, modulus) @ P)).toarray() for layer in range(layers)] for modulus in range(2)]
-    full = sp.csr_matrix((3 * len(corners.free), P.shape[1]))
-    full = sp.csr_matrix(sp.coo_matrix((P.data, (assembled.free[P.tocoo().row], P.tocoo().col)), shape=full.shape))
+def _aggregates(nodes: np.ndarray, free: np.ndarray, corners: Corners, layers: int, coarsest: int) -> Aggregates:
+    unknown = np.flatnonzero(np.repeat(free, 3))
+
+    def matrix(lame: np.ndarray) -> sp.csr_matrix:
+        return _as_matrix(corners, lame)[unknown][:, unknown]
+
+    K = matrix(np.broadcast_to(np.array(EQUAL)[:, None], (2, layers))).tobsr(blocksize=(3, 3))
+    P = _prolongator(K, rigid_body_modes(nodes)[unknown], coarsest)
+    parts = np.zeros((2, layers, P.shape[1], P.shape[1]))
+    for kind, layer in np.ndindex(2, layers):
+        unit = np.zeros((2, layers))
+        unit[kind, layer] = 1.0
+        parts[kind, layer] = (P.T @ (matrix(unit) @ P)).toarray()
+    coo = P.tocoo()
+    full = sp.csr_matrix((coo.data, (unknown[coo.row], coo.col)), shape=(3 * len(free), P.shape[1]))
     rows, row_index = _padded(full)
     columns, column_index = _padded(sp.csr_matrix(full.T))
     return Aggregates(rows, row_index, columns, column_index, jnp.asarray(parts))
+
+
+def _as_matrix(corners: Corners, lame: np.ndarray) -> sp.csr_matrix:
+    """The corner level at given moduli as a sparse matrix (3n, 3n)."""
+    neighbours = np.asarray(corners.neighbours)
+    n, w = neighbours.shape
+    blocks = np.asarray(corners.blocks(jnp.asarray(lame)))
+    row = np.broadcast_to(3 * np.arange(n)[:, None, None, None] + np.arange(3)[:, None], (n, w, 3, 3))
+    column = np.broadcast_to(3 * neighbours[:, :, None, None] + np.arange(3), (n, w, 3, 3))
+    matrix = sp.csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(3 * n, 3 * n))
+    matrix.eliminate_zeros()  # rows are filled up with the first node, which is no neighbour
+    return matrix
 
 
 def _prolongator(K: sp.bsr_matrix, modes: np.ndarray, coarsest: int) -> sp.csr_matrix:
@@ -131,9 +292,10 @@ def _padded(matrix: sp.csr_matrix) -> tuple[Array, Array]:
 
 
 class Smoother(eqx.Module):
-    """Chebyshev polynomial of the block-Jacobi-preconditioned stiffness (Adams, Brezina, Hu & Tuminaro, 2003)."""
+    """Chebyshev polynomial of the stiffness preconditioned by its strong groups (Adams, Brezina, Hu & Tuminaro, 2003)."""
 
-    inverse_blocks: Float[Array, "nodes 3 3"]
+    groups: Groups
+    inverse: Float[Array, "g b b"]
     largest: Float[Array, ""]
     degree: int = eqx.field(static=True, default=3)
 
@@ -154,59 +316,74 @@ class Smoother(eqx.Module):
         return u + d
 
     def _scale(self, r: Field) -> Field:
-        return jnp.einsum("nij,nj->ni", self.inverse_blocks, r)
+        return self.groups.apply(self.inverse, r)
 
 
-def smoother(body: Body, lame: Lame) -> Smoother:
-    """Inverse diagonal blocks and the largest eigenvalue of the scaled stiffness, by a dozen power steps."""
-    inverse = inverse_3x3(diagonal_blocks(body, lame))
+def smoother(groups: Groups, operate: Callable[[Field], Field], lame: Lame, precision: type) -> Smoother:
+    """Inverse groups, and the largest eigenvalue of the preconditioned stiffness by a dozen power steps."""
+    inverse = groups.inverse(lame).astype(precision)
 
     def step(v: Field, _: None) -> tuple[Field, Float[Array, ""]]:
-        w = jnp.einsum("nij,nj->ni", inverse, apply(body, lame, v))
+        w = groups.apply(inverse, operate(v))
         size = jnp.linalg.norm(w)
         return w / size, size
 
-    start = jax.random.normal(jax.random.key(0), body.nodes.shape) * body.free[:, None]
+    start = jax.random.normal(jax.random.key(0), (groups.slot.shape[0], 3), precision)
+    start = jnp.where((groups.slot < groups.members.size)[:, None], start, jnp.zeros((), precision))
     _, sizes = jax.lax.scan(step, start / jnp.linalg.norm(start), None, length=12)
-    return Smoother(inverse, sizes[-1])
+    return Smoother(groups, inverse, sizes[-1])
 
 
-def inverse_3x3(blocks: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
-    """Inverses by cofactors: `jnp.linalg.inv` on tens of thousands of small blocks inside compiled code has been seen to hang."""
-    a, b, c = blocks[:, :, 0], blocks[:, :, 1], blocks[:, :, 2]
-    cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
-    return cofactors / jnp.sum(a * cofactors[:, 0], axis=1)[:, None, None]
-
-
-def preconditioner(body: Body, frozen: Hierarchy, lame: Lame) -> Callable[[Field], Field]:
-    """The V-cycle at these moduli, as a function of a residual. Symmetric positive definite."""
-    aggregates, corners = frozen.aggregates, frozen.corners
+def preconditioner(body: Body, frozen: Hierarchy, lame: Lame, precision: type = jnp.float32) -> Callable[[Field], Field]:
+    """The V-cycle at these moduli, as a function of a residual. Symmetric positive definite, to the precision that it runs in."""
     lame = jax.lax.stop_gradient(lame)
+
+    def less(tree: Any) -> Any:
+        return jax.tree.map(lambda leaf: leaf.astype(precision) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf, tree)
+
+    cycle = _corner_cycle(frozen, lame, less, precision)
+    if frozen.midsides is not None and frozen.groups is not None:
+        cycle = _cycle(less(body), frozen.midsides, frozen.groups, less(lame), lame, cycle, precision)
+
+    def scaled(load: Field) -> Field:
+        size = jnp.linalg.norm(load)
+        unit = load / jnp.where(size > 0, size, 1.0)
+        return cycle(unit.astype(precision)).astype(load.dtype) * size
+
+    return scaled
+
+
+def _corner_cycle(frozen: Hierarchy, lame: Lame, less: Callable[[Any], Any], precision: type) -> Callable[[Field], Field]:
+    aggregates = frozen.aggregates
     coarse = jnp.einsum("pl,plij->ij", lame[:, : aggregates.parts.shape[1]], aggregates.parts)
     # An explicit inverse: one product per cycle instead of two triangular solves, which XLA runs column by column.
-    inverse = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(coarse, lower=True), jnp.eye(len(coarse)))
-    corner_smoother = smoother(corners, lame)
+    inverse = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(coarse, lower=True), jnp.eye(len(coarse))).astype(precision)
+    blocks, moved = frozen.corners.blocks(lame).astype(precision), less(aggregates)
 
-    def corner_cycle(load: Field) -> Field:
-        def operate(v: Field) -> Field:
-            return apply(corners, lame, v)
+    def operate(v: Field) -> Field:
+        return multiply(frozen.corners.neighbours, blocks, v)
 
-        u = corner_smoother(operate, load, None)
-        below = aggregates.restrict(load - operate(u))
-        u = u + aggregates.prolong(inverse @ below)
-        return corner_smoother(operate, load, u)
+    smooth = smoother(frozen.corner_groups, operate, lame, precision)
 
-    if frozen.midsides is None:
-        return corner_cycle
-    midsides, fine_smoother = frozen.midsides, smoother(body, lame)
+    def cycle(load: Field) -> Field:
+        u = smooth(operate, load, None)
+        u = u + moved.prolong(inverse @ moved.restrict(load - operate(u)))
+        return smooth(operate, load, u)
 
+    return cycle
+
+
+def _cycle(
+    body: Body, midsides: Midsides, groups: Groups, lame: Lame, exact: Lame, below: Callable[[Field], Field], precision: type
+) -> Callable[[Field], Field]:
     def operate(v: Field) -> Field:
         return apply(body, lame, v)
 
+    smooth = smoother(groups, operate, exact, precision)
+
     def cycle(load: Field) -> Field:
-        u = fine_smoother(operate, load, None)
-        below = corners.free[:, None] * midsides.restrict(load - operate(u))
-        u = u + body.free[:, None] * midsides.prolong(corner_cycle(below))
-        return fine_smoother(operate, load, u)
+        u = smooth(operate, load, None)
+        u = u + body.free[:, None] * midsides.prolong(below(midsides.restrict(load - operate(u))))
+        return smooth(operate, load, u)
 
     return cycle
