@@ -103,11 +103,10 @@ def face_load(body: Body, faces: np.ndarray, traction: np.ndarray | float) -> np
     return load
 
 
-def constrained(body: Body, lame: np.ndarray, held: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Displacement (n, 3) of a body that is held in single directions, `held` (n, 3) bool, by a direct solve."""
+def constrained(body: Body, lame: np.ndarray, held: np.ndarray, load: np.ndarray, imposed: np.ndarray | None = None) -> np.ndarray:
+    """Displacement (n, 3) of a body that is held, `held` (n, 3) bool, in single directions, or moved there by `imposed` (n, 3), mm."""
     assert np.all(np.asarray(body.free) > 0), "hand in a body without supports of its own"
-    free = np.flatnonzero(~held.ravel())
-    K = Assembled(body, upper=False).matrix(np.asarray(lame))
-    u = np.zeros(load.size)
-    u[free] = spla.spsolve(K[free][:, free].tocsc(), load.ravel()[free])
+    K, free = Assembled(body, upper=False).matrix(np.asarray(lame)), np.flatnonzero(~held.ravel())
+    u = np.zeros(load.size) if imposed is None else np.where(held, imposed, 0.0).ravel()
+    u[free] = spla.spsolve(K[free][:, free].tocsc(), (load.ravel() - K @ u)[free])
     return u.reshape(-1, 3)
