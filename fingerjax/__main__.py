@@ -13,6 +13,7 @@ import typer
 from fingerjax.commands.mesh import mesh
 from fingerjax.commands.run import run
 from fingerjax.commands.studies import studies
+from fingerjax.commands.verify import verify
 
 app = typer.Typer(
     name="fingerjax",
@@ -29,6 +30,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(mesh)
 app.command()(studies)
+app.command()(verify)
 
 
 def main() -> None:

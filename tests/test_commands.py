@@ -81,7 +81,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Iterator[Runs]:
     stand_in = Runs()
     for kind in ("predict", "fit", "table", "layer_study"):
         monkeypatch.setitem(run_module.RUNNERS, kind, stand_in)
-    monkeypatch.setattr(run_module, "_prepare", lambda: None)
+    monkeypatch.setattr(run_module, "prepare", lambda: None)
     yield stand_in
 
 

@@ -51,7 +51,7 @@ def run(
     with told():
         folder = data or (Path(os.environ["FINGERJAX_DATA"]) if os.environ.get("FINGERJAX_DATA") else None)
         chosen, skipped = choose(load_studies(file, folder), study or [])
-        _prepare()
+        prepare()
         place = out or Path("results") / "-".join([file.stem, *(study or [])])
         results = _run_all(chosen, skipped, RunFolder(place, fresh=fresh), folder, file)
         _tell(results, place)
@@ -95,7 +95,7 @@ def _standing_in(other: Study, absent: Study) -> Study:
     return dataclasses.replace(other, name=absent.name, notes=f"{note} {other.notes}".strip())
 
 
-def _prepare() -> None:
+def prepare() -> None:
     """64 bit, and compiled programs kept between runs."""
     from fingerjax.mesh.cache import cache_dir
 

@@ -26,7 +26,15 @@ def element_matrices(body: Body, part: slice = slice(None)) -> tuple[np.ndarray,
     square = np.einsum("eaibi->eab", outer)[:, :, None, :, None] * np.eye(3)[None, None, :, None, :]
     size = outer.shape[1] * 3
     shear = np.swapaxes(outer, 2, 4) + square
-    return outer.reshape(-1, size, size), shear.reshape(-1, size, size)
+    return _volumetric(body, weight, slope, outer).reshape(-1, size, size), shear.reshape(-1, size, size)
+
+
+def _volumetric(body: Body, weight: np.ndarray, slope: np.ndarray, outer: np.ndarray) -> np.ndarray:
+    """Products of divergences (e, a, i, b, j): pointwise, they are those of the slopes; of means, those of the slopes' means."""
+    if body.dilatation == "pointwise":
+        return outer
+    total = np.einsum("eq,eqai->eai", weight, slope)
+    return np.einsum("eai,ebj,e->eaibj", total, total, 1 / weight.sum(axis=1), optimize=True)
 
 
 class Assembled:

@@ -12,6 +12,7 @@ from ..layers import BONE, LAYERS
 from . import element
 
 BONES = ("rigid", "held", "elastic")
+DILATATIONS = ("pointwise", "mean")
 STRAIGHT = 1e-10  # midsides this close to the chord, relative to its length, make a straight element
 
 
@@ -78,6 +79,7 @@ class Body(eqx.Module):
     - `modes` (6 or 0, n, 3): orthonormal rigid motions of a bone that the tissue carries, zero elsewhere; none where it is held.
     - `slopes` (q, a, 3): reference gradients; `inverse_along` (q or 1, k, j, e): d reference k / d position j, 1/mm;
       `weight_along` (q, e): quadrature weight times Jacobian, mm^3. Elements come last, so that arithmetic runs along them.
+    - `dilatation`: the change of volume that Lame's first parameter acts on, at each quadrature point or as the mean over the element.
     """
 
     tets: Int[Array, "elements corners"]
@@ -89,6 +91,7 @@ class Body(eqx.Module):
     inverse_along: Float[Array, "_ 3 3 elements"]
     weight_along: Float[Array, "points elements"]
     incidence: Incidence
+    dilatation: str = eqx.field(static=True, default="pointwise")
 
     @property
     def inverse(self) -> Float[Array, "elements _ 3 3"]:
@@ -107,7 +110,7 @@ class Body(eqx.Module):
         return self.free == 0
 
 
-def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2) -> Body:
+def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2, dilatation: str = "pointwise") -> Body:
     """Prepare a finger for the solvers. The nail is held in every case, as it was glued to the table.
 
     **Arguments:**
@@ -117,6 +120,8 @@ def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2
       plate it makes the finger up to twice as stiff.
     - `order`: 2 for quadratic tetrahedra, 1 for linear ones on the same corners.
     - `degree`: of the quadrature; 2 (four points) is exact where elements are straight and keeps the order of convergence where not.
+    - `dilatation`: `"mean"` lets pressure be constant in each element (Nagtegaal, Parks & Rice, 1974). Four times fewer volumes are kept
+      than by `"pointwise"`, so that quadratic tetrahedra do not lock up to a Poisson ratio of 0.4999; docs/locking.md compares them.
     """
     if jnp.ones(()).dtype != jnp.float64:
         raise RuntimeError("fingerjax computes in float64: call jax.config.update('jax_enable_x64', True) before anything else")
@@ -131,7 +136,7 @@ def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2
     held = nail | hard if bone == "held" else nail
     if not held.any():
         raise ValueError(f"nothing holds the body {finger.name!r}: mark its nail, or hold its bone with bone='held'")
-    return assemble_body(nodes, tets, finger.layer, held, degree, carried)
+    return assemble_body(nodes, tets, finger.layer, held, degree, carried, dilatation)
 
 
 def rigid_modes(nodes: np.ndarray, carried: np.ndarray) -> np.ndarray:
@@ -147,9 +152,17 @@ def rigid_modes(nodes: np.ndarray, carried: np.ndarray) -> np.ndarray:
 
 
 def assemble_body(
-    nodes: np.ndarray, tets: np.ndarray, layer: np.ndarray, held: np.ndarray, degree: int = 2, carried: np.ndarray | None = None
+    nodes: np.ndarray,
+    tets: np.ndarray,
+    layer: np.ndarray,
+    held: np.ndarray,
+    degree: int = 2,
+    carried: np.ndarray | None = None,
+    dilatation: str = "pointwise",
 ) -> Body:
     """A body from bare arrays: nodes (n, 3) mm, tets (e, 4 or 10), layer (e,), held (n,) bool; `carried` nodes move as one rigid piece."""
+    if dilatation not in DILATATIONS:
+        raise ValueError(f"unknown dilatation {dilatation!r}; choose one of {', '.join(DILATATIONS)}")
     carried = np.zeros(len(nodes), bool) if carried is None else np.asarray(carried)
     order = 1 if tets.shape[1] == 4 else 2
     points, weights = element.quadrature(1 if order == 1 else degree)
@@ -172,6 +185,7 @@ def assemble_body(
         inverse_along=jnp.asarray(np.moveaxis(inverse, 0, 3).copy()),
         weight_along=jnp.asarray((determinant * weights).T.copy()),
         incidence=incidence(tets, len(nodes)),
+        dilatation=dilatation,
     )
 
 

@@ -2,6 +2,8 @@
 
     K(lambda, mu) u = sum over elements of  integral  grad N . (lambda tr(eps) I + 2 mu eps),   eps = sym grad u
 
+With `dilatation="mean"`, tr(eps) stands for its mean over the element in the first term: pressure is then constant in each element.
+
 The stiffness is affine in the Lame parameters of the layers, so they enter per element inside compiled code, and the derivative of
 `K u` with respect to them is the same operator with other numbers.
 """
@@ -24,12 +26,20 @@ def displacement_gradient(body: Body, u: Float[Array, "nodes 3"]) -> Float[Array
     return jnp.einsum("eqik,eqkj->eqij", reference, jnp.broadcast_to(body.inverse, (*body.weight.shape, 3, 3)))
 
 
+def dilatation(body: Body, gradient: Float[Array, "elements points 3 3"]) -> Float[Array, "elements points"]:
+    """Change of volume that the tissue resists by Lame's first parameter: at every point, or the mean of the element at all of its."""
+    trace = jnp.trace(gradient, axis1=2, axis2=3)
+    if body.dilatation == "pointwise":
+        return trace
+    mean = jnp.sum(body.weight * trace, axis=1) / jnp.sum(body.weight, axis=1)
+    return jnp.broadcast_to(mean[:, None], trace.shape)
+
+
 def stress(body: Body, lame: Lame, gradient: Float[Array, "elements points 3 3"]) -> Float[Array, "elements points 3 3"]:
     """Cauchy stress at every quadrature point, MPa."""
     lam, mu = lame[:, body.layer]
-    trace = jnp.trace(gradient, axis1=2, axis2=3)
     symmetric = gradient + jnp.swapaxes(gradient, 2, 3)
-    return (lam[:, None] * trace)[..., None, None] * jnp.eye(3) + mu[:, None, None, None] * symmetric
+    return (lam[:, None] * dilatation(body, gradient))[..., None, None] * jnp.eye(3) + mu[:, None, None, None] * symmetric
 
 
 def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
@@ -52,8 +62,11 @@ def _pulled_back(body: Body, lame: Lame, gradient: Float[Array, "points 3 3 elem
     inverse, axes = body.inverse_along, range(3)
     volumetric, shear = (part[body.layer] * body.weight_along for part in lame)
     G = [[sum(gradient[:, k, i] * inverse[:, k, j] for k in axes) for j in axes] for i in axes]
-    dilatation = volumetric * (G[0][0] + G[1][1] + G[2][2])
-    S = [[shear * (G[i][j] + G[j][i]) + (dilatation if i == j else 0.0) for j in axes] for i in axes]
+    trace = G[0][0] + G[1][1] + G[2][2]
+    if body.dilatation == "mean":
+        trace = jnp.sum(body.weight_along * trace, axis=0) / jnp.sum(body.weight_along, axis=0)
+    pressure = volumetric * trace
+    S = [[shear * (G[i][j] + G[j][i]) + (pressure if i == j else 0.0) for j in axes] for i in axes]
     return jnp.stack([jnp.stack([sum(S[i][j] * inverse[:, k, j] for j in axes) for i in axes], axis=1) for k in axes], axis=1)
 
 
@@ -75,7 +88,11 @@ def diagonal_blocks(body: Body, lame: Lame) -> Float[Array, "nodes 3 3"]:
     slope = jnp.einsum("qak,eqkj->eqaj", body.slopes, jnp.broadcast_to(body.inverse, (*body.weight.shape, 3, 3)))
     outer = jnp.einsum("eq,eqai,eqaj->eaij", body.weight, slope, slope)
     square = jnp.trace(outer, axis1=2, axis2=3)[..., None, None] * jnp.eye(3)
-    blocks = (lam + mu)[:, None, None, None] * outer + mu[:, None, None, None] * square
+    volumetric = outer
+    if body.dilatation == "mean":
+        total = jnp.einsum("eq,eqai->eai", body.weight, slope)
+        volumetric = jnp.einsum("eai,eaj->eaij", total, total) / jnp.sum(body.weight, axis=1)[:, None, None, None]
+    blocks = lam[:, None, None, None] * volumetric + mu[:, None, None, None] * (outer + square)
     summed = jax.vmap(body.incidence.accumulate, in_axes=1, out_axes=1)(blocks.reshape(-1, 3, 3))
     free = body.free[:, None, None]
     return free * summed + (1 - free) * jnp.eye(3)

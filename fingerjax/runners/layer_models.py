@@ -30,7 +30,7 @@ def layer_models(study: Study, context: Context) -> StudyResult:
     options = study.options
     assert isinstance(options, LayerStudy)
     context.tell(0.02, "meshing")
-    assembled = assemble(dataclasses.replace(study, measurements=(_profile(options),)))
+    assembled = assemble(dataclasses.replace(study, measurements=(profile(options),)))
     begun = StudyResult(study.name, study.notes.split(". ")[0] or "Layer study", "", RESULTS.not_converged, notes=[study.notes])
     begun = dataclasses.replace(begun, meshes={assembled.solid.name: mesh_record(assembled.finger)})
     profiles: dict[str, np.ndarray] = {}
@@ -44,7 +44,7 @@ def layer_models(study: Study, context: Context) -> StudyResult:
     return _result(begun, options, assembled.study.measurements[0].table["distance"], profiles)
 
 
-def _profile(options: LayerStudy) -> Measurement:
+def profile(options: LayerStudy) -> Measurement:
     count = round(options.span / options.spacing)
     distance = options.spacing * np.arange(-count, count + 1)
     columns = {"depth": np.full(len(distance), options.depth), "distance": distance, "deflection": np.zeros(len(distance))}
