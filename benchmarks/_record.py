@@ -131,8 +131,14 @@ def _row(figure: Figure) -> tuple[str, ...]:
     return figure.figure, f"{figure.value:.4g}", unit, goal, verdict, figure.note
 
 
-def run(main: Callable[[bool], Iterable[Figure]], arguments: Sequence[str] | None = None) -> None:
+def run(
+    main: Callable[[bool], Iterable[Figure]],
+    arguments: Sequence[str] | None = None,
+    page: tuple[Path, Callable[[Sequence[Figure]], str]] | None = None,
+) -> None:
     """Run one benchmark from the command line: print its table, and write its JSON where `--json` says.
+
+    A benchmark that has a `page`, where it lies and how it is told from the figures, writes it when `--write` is given.
 
     `main` is called with whether `--quick` was given, in float64, and yields its figures. A missed goal is
     printed and recorded, not raised: what a benchmark has to say, it says in its figures.
@@ -140,12 +146,16 @@ def run(main: Callable[[bool], Iterable[Figure]], arguments: Sequence[str] | Non
     parser = argparse.ArgumentParser(description=sys.modules[main.__module__].__doc__)
     parser.add_argument("--quick", action="store_true", help="smaller meshes and fewer repeats")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
+    if page is not None:
+        parser.add_argument("--write", action="store_true", help=f"renew {page[0].parent.name}/{page[0].name} as well")
     options = parser.parse_args(arguments)
     _use_float64()
     figures = list(main(options.quick))
     print(table(figures))
     if options.json is not None:
         write(options.json, record(figures, quick=options.quick))
+    if page is not None and options.write:
+        page[0].write_text(page[1](figures), encoding="utf-8")
 
 
 def _use_float64() -> None:

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks import locking
 from fingerjax.fem.assembly import Assembled
 from fingerjax.fem.body import body, material
 from fingerjax.fem.compliance import displacement
 from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.operator import apply, diagonal_blocks, internal_force, strain_energy
-from fingerjax.fem.solver import MultigridCG
+from fingerjax.fem.solver import MultigridCG, direct_available
 from fingerjax.mesh.bodies import block
 
 from .fem_tools import cube_body
@@ -79,3 +80,17 @@ def test_multigrid_solves_it() -> None:
 def test_an_unknown_form_is_refused() -> None:
     with pytest.raises(ValueError, match="choose one of pointwise, mean"):
         body(block(), bone="held", dilatation="constant")
+
+
+@pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
+def test_the_locking_table_has_a_row_for_each_form_and_mesh() -> None:
+    """The quick one: errors against the finest quadratic mesh, linear elements locking and the mean dilatation not."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(locking, "RATIOS", (0.3, 0.4999))
+        figures = list(locking.main(True))
+    error = {(one.figure, float(one.note.split()[-1])): one.value for one in figures}
+    assert len(error) == 2 * 4
+    assert error["P1, 1377 nodes", 0.4999] > 10 * error["P1, 1377 nodes", 0.3] > 50
+    assert 0 < error["P2, 1377 nodes", 0.3] < error["P2, 1377 nodes", 0.4999] < 10
+    assert abs(error["P2, mean dilatation, 1377 nodes", 0.4999]) < 5
+    assert "| P1, 1377 nodes | +" in locking.page(figures)

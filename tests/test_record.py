@@ -60,6 +60,17 @@ def test_a_benchmark_that_breaks_off_leaves_no_file(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_page_is_written_when_it_is_asked_for(tmp_path: Path) -> None:
+    def one(quick: bool) -> Iterator[Figure]:
+        yield Figure("error", 12.34, "%", note="Poisson ratio 0.48")
+
+    page = tmp_path / "page.md"
+    run(one, [], page=(page, lambda figures: str(len(figures))))
+    assert not page.exists()
+    run(one, ["--write"], page=(page, lambda figures: f"{len(figures)} figure: {figures[0].value:+.1f}"))
+    assert page.read_text() == "1 figure: +12.3"
+
+
 @pytest.mark.parametrize(
     ("value", "met"), [(0.99, False), (1.0, True), (2.0, True), (2.01, False), (math.nan, False)]
 )

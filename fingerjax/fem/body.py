@@ -120,8 +120,8 @@ def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2
       plate it makes the finger up to twice as stiff.
     - `order`: 2 for quadratic tetrahedra, 1 for linear ones on the same corners.
     - `degree`: of the quadrature; 2 (four points) is exact where elements are straight and keeps the order of convergence where not.
-    - `dilatation`: `"mean"` lets pressure be constant in each element (Nagtegaal, Parks & Rice, 1974). Four times fewer volumes are kept
-      than by `"pointwise"`, so that quadratic tetrahedra do not lock up to a Poisson ratio of 0.4999; docs/locking.md compares them.
+    - `dilatation`: `"mean"` lets pressure be constant in each element (Nagtegaal, Parks & Rice, 1974): one volume is kept
+      there instead of one at every point, which frees quadratic tetrahedra near a Poisson ratio of 0.5. docs/locking.md compares them.
     """
     if jnp.ones(()).dtype != jnp.float64:
         raise RuntimeError("fingerjax computes in float64: call jax.config.update('jax_enable_x64', True) before anything else")

@@ -88,7 +88,7 @@ def contact_decided(name: str, contact: Contact) -> list[Check]:
     """No skin is pulled, none lies inside the indenter, and every contact was decided on skin that was prepared for it."""
     force, gap = np.asarray(contact.pressure), np.asarray(contact.gap)
     tension = np.maximum(-force.min(axis=1), 0.0) / _size(force)
-    overlap = np.maximum(-gap.min(axis=1), 0.0) / np.abs(np.asarray(contact.travel))
+    overlap = np.maximum(-gap.min(axis=1), 0.0) / _size(np.asarray(contact.travel)[:, None])
     open_ends = np.asarray(~contact.settled | contact.reached_edge).sum()
     return [
         Check(f"{name}: neither tension nor overlap", float(np.max([tension, overlap])), 1e-9),

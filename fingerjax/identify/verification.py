@@ -22,7 +22,7 @@ from ..forward import Assembled
 from ..forward.balance import Check, balances
 from ..forward.problem import Problem
 from ..forward.readings import Solved
-from .evaluation import Point, evaluator
+from .evaluation import linearise
 
 PROJECTIONS = 3
 SAME_SLOPE = 1e-9  # forward against reverse: the same products in another order, but for small solves
@@ -69,17 +69,17 @@ def derivative_checks(slopes: Slopes) -> list[Check]:
 def slopes_of(problem: Problem, tell: Tell = lambda share, doing: None) -> Slopes:
     """Differentiate a problem's residuals at its start in all three ways."""
     raw, rng = problem.start(), np.random.default_rng(0)
-    point, held = evaluator(problem)(raw), _prepared(problem, raw)
-    w = rng.choice([-1.0, 1.0], size=(PROJECTIONS, len(point.residual)))
+    held = _prepared(problem, raw)
+    residual, tangents, health = linearise(held, jnp.asarray(raw))
+    jacobian, noise = np.asarray(tangents), float(health.residual)
+    w = rng.choice([-1.0, 1.0], size=(PROJECTIONS, len(residual)))
     t = rng.standard_normal(len(raw))
     reverse = np.asarray(_pull(held, jnp.asarray(raw), jnp.asarray(w)))
     pushed = float(w[0] @ np.asarray(_push(held, jnp.asarray(raw), jnp.asarray(t))))
-    difference, steps = _differences(problem, point, _touching(held), tell)
-    length = np.linalg.norm(point.jacobian, axis=0)
+    difference, steps = _differences(problem, raw, noise, _touching(held), tell)
+    length = np.linalg.norm(jacobian, axis=0)
     scale = np.maximum(length, max(FAINT * length.max(), np.finfo(float).tiny))
-    return Slopes(
-        problem.names, w @ point.jacobian, reverse, w @ difference, steps, scale, pushed, float(reverse[0] @ t), point.solve_residual
-    )
+    return Slopes(problem.names, w @ jacobian, reverse, w @ difference, steps, scale, pushed, float(reverse[0] @ t), noise)
 
 
 def verify(assembled: Assembled, tell: Tell = lambda share, doing: None) -> list[Check]:
@@ -91,13 +91,15 @@ def verify(assembled: Assembled, tell: Tell = lambda share, doing: None) -> list
     return [*found, *derivative_checks(slopes_of(problem, lambda share, doing: tell(0.2 + 0.8 * share, doing)))]
 
 
-def _differences(problem: Problem, point: Point, held: tuple[bytes, ...], tell: Tell) -> tuple[np.ndarray, np.ndarray]:
+def _differences(
+    problem: Problem, raw: np.ndarray, noise: float, held: tuple[bytes, ...], tell: Tell
+) -> tuple[np.ndarray, np.ndarray]:
     """Central differences (rows, p) and their steps (p,)."""
-    first = max(point.solve_residual, 1e-13) ** (1 / 3)  # balances the noise over h against the truncation in h^2
+    first = max(noise, 1e-13) ** (1 / 3)  # balances the noise over h against the truncation in h^2
     columns, steps = [], []
     for i, name in enumerate(problem.names):
         tell(i / len(problem.names), f"differences, {name}")
-        column, step = _difference(problem, point.raw, i, first, held)
+        column, step = _difference(problem, raw, i, first, held)
         columns.append(column)
         steps.append(step)
     return np.stack(columns, axis=1), np.array(steps)
