@@ -34,8 +34,13 @@ def stress(body: Body, lame: Lame, gradient: Float[Array, "elements points 3 3"]
 
 def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     """Nodal forces, N, that hold the displacement `u`, mm; on supports these are the reactions."""
-    sigma = stress(body, lame, displacement_gradient(body, u)) * body.weight[..., None, None]
-    reference = jnp.einsum("eqij,eqkj->eqik", sigma, jnp.broadcast_to(body.inverse, (*body.weight.shape, 3, 3)))
+    return nodal_forces(body, stress(body, lame, displacement_gradient(body, u)))
+
+
+def nodal_forces(body: Body, stress: Float[Array, "elements points 3 3"]) -> Float[Array, "nodes 3"]:
+    """Nodal forces, N, in balance with a stress, MPa, at every quadrature point."""
+    weighted = stress * body.weight[..., None, None]
+    reference = jnp.einsum("eqij,eqkj->eqik", weighted, jnp.broadcast_to(body.inverse, (*body.weight.shape, 3, 3)))
     forces = jnp.einsum("qak,eqik->eai", body.slopes, reference)
     return body.incidence.accumulate(forces.reshape(-1, 3))
 
