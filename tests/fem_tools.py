@@ -57,3 +57,9 @@ def consistent_load(body: Body, force) -> np.ndarray:
     load = np.zeros(body.nodes.shape)
     np.add.at(load, np.asarray(body.tets), element_load)
     return load
+
+
+def quadratic(residuals) -> bool:
+    """Whether Newton's last step left no more than some times the square of the residual before it, small as that was; or rounding."""
+    before, last = residuals[-2:]
+    return before < 1e-4 and last <= max(100 * before**2, 1e-12)

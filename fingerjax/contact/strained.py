@@ -13,12 +13,14 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Array, Float
 
-from ..fem.columns import Columns
+from ..fem.columns import Columns, columns_from_matrix
 from ..fem.condensed import AbstractCondensed, Fields
 from ..fem.equilibrium import AbstractLoading, Near, State
-from .footprint import Interface
+from .footprint import Interface, only
 from .indentation import Contact, press
 
 
@@ -55,7 +57,6 @@ class Indenting(AbstractLoading):
             self._free(near, condensed, state),
             None if self.travel is None else start.travel + share * (self.travel - start.travel),
             None if self.force is None else (1 - share) * _pushed(start) + share * self.force,
-            None if state.detail is None else state.detail.active,
         )
         load = self.columns.load(contact.nodal_forces)
         step = near.undo((load - near.force)[None])
@@ -73,7 +74,6 @@ class Indenting(AbstractLoading):
             condensed.readings(loads),
             state.travel if self.moves else None,
             None if self.moves else _pushed(state),
-            state.detail.active,
         )
         change = jnp.stack([self.columns.load(each) for each in forces])
         moved = near.undo(loads + change)
@@ -85,6 +85,13 @@ class Indenting(AbstractLoading):
     def _free(self, near: Near, condensed: AbstractCondensed, state: State) -> Float[Array, " p"]:
         """Where the skin would be, mm along y, if the indenter let go of the linearised tissue."""
         return self.columns.read(state.displacement) - condensed.readings(near.force[None])[0]
+
+
+def on_hats(columns: Columns, interface: Interface) -> tuple[Columns, Interface]:
+    """The pressures themselves as columns, a quarter as many as the nodes that they press on; hats off the indenter are left out."""
+    kept = np.flatnonzero(np.asarray(interface.area) > 0)
+    pressures = columns.matrix() @ sp.csc_matrix(np.asarray(interface.load)[:, kept])
+    return columns_from_matrix(pressures), only(interface, kept, jnp.eye(len(kept)))
 
 
 def _pushed(state: State) -> Float[Array, ""]:
@@ -102,11 +109,10 @@ def _contact(
     free: Float[Array, " p"],
     travel: Number | None,
     force: Number | None,
-    active: Bool[Array, " k"] | None,
 ) -> Contact:
     """The contact with linearised tissue of compliance C, mm/N, whose free surface has moved already."""
     shifted = eqx.tree_at(lambda part: part.overlap, interface, interface.overlap - interface.load.T @ free)
-    return press(C, shifted, travel=travel, force=force, start=active)
+    return press(C, shifted, travel=travel, force=force)
 
 
 @eqx.filter_jit
@@ -117,12 +123,11 @@ def _slopes(
     moved: Float[Array, "d p"],
     travel: Number | None,
     force: Number | None,
-    active: Bool[Array, " k"],
 ) -> tuple[Float[Array, "d p"], Float[Array, " d"]]:
     """Change of the contact's nodal forces, N, and of its travel, mm, when the free surface moves in each of a few ways."""
 
     def ends(free: Float[Array, " p"]) -> tuple[Array, Array]:
-        contact = _contact(C, interface, free, travel, force, active)
+        contact = _contact(C, interface, free, travel, force)
         return contact.nodal_forces, contact.travel
 
     return jax.lax.map(lambda way: jax.jvp(ends, (free,), (way,))[1], moved)

@@ -51,7 +51,7 @@ class FiniteStrain(AbstractTissue):
     (Computational inelasticity, 1998, chapter 9: the volumetric part), Ciarlet & Geymonat (1982: the two together).
     """
 
-    homotopy: Float[Array, ""] = eqx.field(default=1.0, converter=jnp.asarray)
+    homotopy: Float[Array, ""] = eqx.field(default=1.0, converter=lambda s: jnp.asarray(s, float))
 
     def density(self, gradient: Float[Array, "3 3"], lame: Float[Array, "2"], layer: Int[Array, ""]) -> Float[Array, ""]:
         linear = Linear().density(gradient, lame, layer)
