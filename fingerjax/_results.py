@@ -24,6 +24,10 @@ class RESULTS(enum.Enum):
         "The contact reached the edge of the pad that was prepared for it; prepare a larger pad, press "
         "less deep, or move the site away from the end of the finger."
     )
+    no_equilibrium = (
+        "No equilibrium of the strained tissue was found all the way to the load asked for; allow smaller load "
+        "steps, press less, or make the tissue less compressible or less stiffening."
+    )
     force_not_reached = (
         "No travel within the limit gives the force asked for; check the unit of the force, raise the "
         "largest travel, or start from stiffer moduli."

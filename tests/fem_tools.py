@@ -110,3 +110,9 @@ def constrained(body: Body, lame: np.ndarray, held: np.ndarray, load: np.ndarray
     u = np.zeros(load.size) if imposed is None else np.where(held, imposed, 0.0).ravel()
     u[free] = spla.spsolve(K[free][:, free].tocsc(), (load.ravel() - K @ u)[free])
     return u.reshape(-1, 3)
+
+
+def converged_quadratically(residuals) -> bool:
+    """Whether Newton's last step left no more than some times the square of the residual before it, small as that was; or rounding."""
+    before, last = residuals[-2:]
+    return before < 1e-4 and last <= max(100 * before**2, 1e-12)

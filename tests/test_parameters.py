@@ -108,7 +108,7 @@ def test_raw_refuses_a_value_outside():
 
 def test_results_say_what_to_try():
     assert [member for member in RESULTS if member.ok] == [RESULTS.successful]
-    assert len({member.value for member in RESULTS}) == len(RESULTS.__members__) == 9
+    assert len({member.value for member in RESULTS}) == len(RESULTS.__members__) == 10
     for member in RESULTS:
         assert member.value[0].isupper() and member.value.endswith(".")
         assert member.ok or ";" in member.value  # what happened; what to try

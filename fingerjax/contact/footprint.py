@@ -39,6 +39,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .indenter import AbstractIndenter, Line
@@ -135,6 +136,16 @@ def interface(pad: Pad, indenter: AbstractIndenter, origin: Any = (0.0, 0.0)) ->
     return _without_slivers(
         Interface(load, against, area, pad.rim, lowest, pad.hats, jnp.sum(weight, axis=1)), pad.full
     )
+
+
+def only(interface: Interface, kept: np.ndarray, load: Float[Array, "p k"]) -> Interface:
+    """Some of the hats, by number, with another `load`; facets that any other hat stands on lose their area. Outside of compiled code."""
+    number = np.full(len(interface.area), -1)
+    number[kept] = np.arange(len(kept))
+    pieces = number[np.asarray(interface.pieces)]
+    whole = np.all(pieces >= 0, axis=1)
+    overlap, area, rim = (part[kept] for part in (interface.overlap, interface.area, interface.rim))
+    return Interface(load, overlap, area, rim, interface.lowest, jnp.asarray(pieces[whole]), interface.covered[whole])
 
 
 def _without_slivers(interface: Interface, full: Float[Array, " k"]) -> Interface:

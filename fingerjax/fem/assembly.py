@@ -53,13 +53,15 @@ class Assembled:
         if upper:
             pattern = sp.triu(pattern, format="csr")
         pattern.sort_indices()
-        place = np.full(9 * len(pairs), -1)  # of each entry of each node pair's block, among the matrix's own
-        place[pattern.data - 1] = np.arange(pattern.nnz)
+        self._slot = np.full(9 * len(pairs), -1)  # of each entry of each node pair's block, among the matrix's own
+        self._slot[pattern.data - 1] = np.arange(pattern.nnz)
+        self._block = block.reshape(len(tets), tets.shape[1], tets.shape[1])
         self._pattern = pattern
-        self._sum(place[_entries(block.reshape(len(tets), tets.shape[1], tets.shape[1]))], body)
+        self._sum(body)
 
-    def _sum(self, place: np.ndarray, body: Body) -> None:
+    def _sum(self, body: Body) -> None:
         """Add up the elements of each layer once: refilling then costs little more than reading the matrix."""
+        place = self._slot[_entries(self._block)]
         used = place >= 0
         layer = np.repeat(np.asarray(body.layer), used.size // len(body.layer))[used]
         key, self._layers = layer * np.int64(self._pattern.nnz) + place[used], int(np.asarray(body.layer).max()) + 1
@@ -71,6 +73,15 @@ class Assembled:
         """The stiffness, N/mm, for Lame parameters (2, layers), MPa."""
         lam, mu = np.asarray(lame)[:, self._layer]
         data = np.bincount(self._place, lam * self._volumetric + mu * self._shear, self._pattern.nnz)
+        return self._holding(data)
+
+    def filled(self, elements: np.ndarray) -> sp.csr_matrix:
+        """The matrix that given element matrices (e, 3a, 3a), N/mm, add up to."""
+        place = self._slot[_entries(self._block)]
+        used = place >= 0
+        return self._holding(np.bincount(place[used], elements.ravel()[used], self._pattern.nnz))
+
+    def _holding(self, data: np.ndarray) -> sp.csr_matrix:
         return sp.csr_matrix((data, self._pattern.indices, self._pattern.indptr), shape=self._pattern.shape)
 
     def part(self, layer: int, modulus: int) -> sp.csr_matrix:

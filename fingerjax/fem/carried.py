@@ -17,17 +17,18 @@ from jaxtyping import Array, Float
 
 from .body import Body
 from .krylov import Solution
-from .operator import Lame, internal_force
+from .stiffness import AbstractStiffness
 
 Fields = Float[Array, "m nodes 3"]
 
 
 @eqx.filter_jit
-def bone_loads(body: Body, lame: Lame) -> Float[Array, "modes nodes 3"]:
+def bone_loads(stiffness: AbstractStiffness) -> Float[Array, "modes nodes 3"]:
     """What the bone's rigid motions ask of the tissue around it, N: `-K_fb R`."""
+    body = stiffness.body
     if len(body.modes) == 0:
         return body.modes
-    return -body.free[:, None] * jax.lax.map(lambda mode: internal_force(body, lame, mode), body.modes)
+    return -body.free[:, None] * jax.lax.map(stiffness, body.modes)
 
 
 class Carriage(eqx.Module):
@@ -49,23 +50,23 @@ class Carriage(eqx.Module):
 
 
 @eqx.filter_jit
-def carriage(body: Body, lame: Lame, held: Fields) -> Carriage:
+def carriage(stiffness: AbstractStiffness, held: Fields) -> Carriage:
     """From the displacements (modes, n, 3) that `bone_loads` make with the bone held."""
-    V = body.modes + held
+    V = stiffness.body.modes + held
     if len(V) == 0:
         return Carriage(V, jnp.zeros((0, 0)))
-    KV = jax.lax.map(lambda v: internal_force(body, lame, v), V)
-    stiffness = V.reshape(len(V), -1) @ KV.reshape(len(V), -1).T
-    return Carriage(V, (stiffness + stiffness.T) / 2)
+    KV = jax.lax.map(stiffness, V)
+    between = V.reshape(len(V), -1) @ KV.reshape(len(V), -1).T
+    return Carriage(V, (between + between.T) / 2)
 
 
 @eqx.filter_jit
-def let_go(body: Body, lame: Lame, loads: Fields, held: Solution) -> Solution:
+def let_go(stiffness: AbstractStiffness, loads: Fields, held: Solution) -> Solution:
     """Displacements with the bone carried, from those with it held, which were found under m `loads` and then under `bone_loads`."""
-    modes = len(body.modes)
+    modes = len(stiffness.body.modes)
     if modes == 0:
         return held
-    bone = carriage(body, lame, held.displacement[-modes:])
+    bone = carriage(stiffness, held.displacement[-modes:])
     work = bone.motions.reshape(modes, -1) @ loads.reshape(len(loads), -1).T
     return Solution(
         bone.complete(held.displacement[:-modes], work),

@@ -19,6 +19,10 @@ ANALYSE, FACTOR, SOLVE, RELEASE = 11, 22, 33, -1
 _INT = ctypes.c_int32
 
 
+class Indefinite(ValueError):
+    """A matrix that should have been positive definite is not."""
+
+
 class Cholesky:
     """Factorisations of symmetric positive definite matrices (n, n) of one sparsity.
 
@@ -47,7 +51,7 @@ class Cholesky:
     def factor(self, data: np.ndarray) -> np.ndarray:
         """Factorise the matrix whose upper triangle holds `data`; the Schur complement (k, k) of the kept unknowns, in their order.
 
-        Raises `ValueError` where the matrix is not positive definite.
+        Raises `Indefinite` where the matrix is not positive definite.
         """
         self._data = np.ascontiguousarray(data, float)
         schur, nothing = np.zeros((max(self.kept, 1),) * 2), np.zeros(1)
@@ -81,7 +85,7 @@ class Cholesky:
             ctypes.byref(error),
         )
         if error.value == -4:
-            raise ValueError("the stiffness is not positive definite: something is not held, or an element is inverted")
+            raise Indefinite("the stiffness is not positive definite: something is not held, or an element is inverted")
         if error.value:
             raise RuntimeError(f"MKL PARDISO failed with error {error.value} in phase {phase}")
 

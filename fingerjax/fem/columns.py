@@ -33,6 +33,10 @@ class Columns(eqx.Module):
         columns = jnp.arange(self.count)[:, None]
         return jnp.zeros((self.count, self.nodes, 3)).at[columns, self.node].add(self.weight)
 
+    def load(self, forces: Float[Array, " m"]) -> Float[Array, "nodes 3"]:
+        """The nodal forces of a force on each column."""
+        return jnp.zeros((self.nodes, 3)).at[self.node].add(self.weight * forces[:, None, None])
+
     def matrix(self) -> sp.csc_matrix:
         """The columns as a sparse matrix (3 nodes, m) on the host."""
         node, weight = np.asarray(self.node), np.asarray(self.weight)

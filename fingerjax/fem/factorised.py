@@ -14,6 +14,7 @@ from .carried import Carriage, bone_loads, carriage
 from .cholesky import Cholesky
 from .columns import Columns
 from .condensed import AbstractCondensed, ByFactor, Held, probe
+from .stiffness import AbstractStiffness, Elastic
 
 CONVERGED = 1e-8  # relative residual up to which a factorisation went well
 PARTIAL_FROM = 64  # columns from which on the skin is condensed in the factorisation itself
@@ -24,35 +25,36 @@ class Host:
     """The assembled pattern of one body and the last factorisation done with it; lives outside compiled code."""
 
     def __init__(self, body: Body):
-        self.assembled = Assembled(body, upper=True)
+        self.body, self.assembled = body, Assembled(body, upper=True)
         self.nodes = len(body.free)
         self._factor: Cholesky | None = None
         self._kept = np.zeros(len(self.assembled.free), bool)
-        self._lame, self._K = np.zeros(0), sp.csr_matrix((0, 0))
-        self._last: tuple[Array, np.ndarray, AbstractCondensed] | None = None
+        self._stiffness: AbstractStiffness | None = None
+        self._K = sp.csr_matrix((0, 0))
+        self._last: tuple[Array, AbstractStiffness, AbstractCondensed] | None = None
 
-    def condense(self, body: Body, lame: np.ndarray, columns: Columns) -> AbstractCondensed:
-        """The body behind its columns; that of the last moduli is kept, for fits that move something else."""
-        if self._last is None or self._last[0] is not columns.weight or not np.array_equal(self._last[1], lame):
+    def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+        """The body behind its columns; that of the last stiffness is kept, for fits that move something else."""
+        if self._last is None or self._last[0] is not columns.weight or not _same(self._last[1], stiffness):
             self._last = None
-            self._last = (columns.weight, lame.copy(), self._condensed(body, lame, columns))
+            self._last = (columns.weight, stiffness, self._condensed(stiffness, columns))
         return self._last[2]
 
-    def _condensed(self, body: Body, lame: np.ndarray, columns: Columns) -> AbstractCondensed:
-        matrix, known = columns.matrix(), jnp.asarray(lame)
+    def _condensed(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+        matrix, modes = columns.matrix(), len(self.body.modes)
         kept, flat = _touched(columns, matrix)[self.assembled.free], sp.csr_matrix(matrix)[self.assembled.free]
         surface = np.asarray((flat != 0).sum(axis=0)).ravel() == np.asarray((flat[kept] != 0).sum(axis=0)).ravel()
         if columns.count < PARTIAL_FROM or not kept.any():
             kept, surface = np.zeros(len(kept), bool), np.zeros(columns.count, bool)
-        schur = self._at(lame, kept)
-        bone = np.asarray(bone_loads(body, known)).reshape(len(body.modes), 3 * self.nodes)[:, self.assembled.free].T
+        schur = self._at(stiffness, kept)
+        bone = np.asarray(bone_loads(stiffness)).reshape(modes, 3 * self.nodes)[:, self.assembled.free].T
         others = flat[:, ~surface].toarray()
-        found, residual = self.direct(lame, np.hstack([others, bone]))
-        riding = carriage(body, known, jnp.asarray(found[others.shape[1] :]))
+        found, residual = self.direct(stiffness, np.hstack([others, bone]))
+        riding = carriage(stiffness, jnp.asarray(found[others.shape[1] :]))
         C = self._read(flat, surface, found[: others.shape[1]], schur, kept)
-        work = matrix.T @ np.asarray(riding.motions).reshape(len(body.modes), 3 * self.nodes).T
+        work = matrix.T @ np.asarray(riding.motions).reshape(modes, 3 * self.nodes).T
         C = C + work @ np.asarray(riding.gives(jnp.asarray(work.T)))
-        return self._answering(lame, columns, riding, matrix, C, residual)
+        return self._answering(stiffness, columns, riding, matrix, C, residual)
 
     def _read(
         self, flat: sp.csr_matrix, surface: np.ndarray, others: np.ndarray, schur: np.ndarray | None, kept: np.ndarray
@@ -69,46 +71,57 @@ class Host:
         return C
 
     def _answering(
-        self, lame: np.ndarray, columns: Columns, riding: Carriage, matrix: sp.csc_matrix, C: np.ndarray, residual: float
+        self, stiffness: AbstractStiffness, columns: Columns, riding: Carriage, matrix: sp.csc_matrix, C: np.ndarray, residual: float
     ) -> AbstractCondensed:
         def held(residual: float) -> Held:
             ended = jnp.asarray(1), jnp.asarray(residual), jnp.asarray(residual <= CONVERGED)
-            return Held(jnp.asarray((C + C.T) / 2), jnp.asarray(lame), *ended)
+            return Held(jnp.asarray((C + C.T) / 2), jnp.asarray(stiffness.lame), *ended)
 
         def solve(right: np.ndarray) -> np.ndarray:
-            return self.direct(lame, right)[0]
+            return self.direct(stiffness, right)[0]
 
         condensed = ByFactor(held(residual), solve, matrix, self.assembled.free, riding)
         condensed.held = held(max(residual, probe(columns, condensed)))
         return condensed
 
-    def solve(self, lame: Array | np.ndarray, loads: Array | np.ndarray) -> tuple[np.ndarray, float]:
+    def solve(self, stiffness: AbstractStiffness, loads: np.ndarray) -> tuple[np.ndarray, float]:
         """Displacements (m, n, 3) under loads (m, n, 3), and the relative residual of them all."""
-        flat = np.asarray(loads).reshape(len(loads), 3 * self.nodes)
-        return self.direct(np.asarray(lame), flat[:, self.assembled.free].T)
+        return self.direct(stiffness, loads.reshape(len(loads), 3 * self.nodes)[:, self.assembled.free].T)
 
-    def direct(self, lame: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
+    def solve_elastic(self, lame: Array | np.ndarray, loads: Array | np.ndarray) -> tuple[np.ndarray, float]:
+        """`solve` for the linear body, called from compiled code."""
+        return self.solve(Elastic(self.body, np.asarray(lame)), np.asarray(loads))
+
+    def direct(self, stiffness: AbstractStiffness, right: np.ndarray) -> tuple[np.ndarray, float]:
         """Displacements (m, n, 3) under loads (free, m) between free unknowns, and the residual of them all."""
-        self._at(lame)
+        self._at(stiffness)
         assert self._factor is not None
         x = self._factor.solve(right)
         full = np.zeros((right.shape[1], 3 * self.nodes))
         full[:, self.assembled.free] = x.T
         return full.reshape(-1, self.nodes, 3), _probed(self._K, x, right) if right.shape[1] else 0.0
 
-    def _at(self, lame: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray | None:
-        """Factorise at these moduli unless that was done last; with `kept`, always, for the Schur complement of those unknowns."""
+    def _at(self, stiffness: AbstractStiffness, kept: np.ndarray | None = None) -> np.ndarray | None:
+        """Factorise this stiffness unless that was done last; with `kept`, always, for the Schur complement of those unknowns."""
         wanted = self._kept if kept is None else kept
         other_pattern = self._factor is None or not np.array_equal(wanted, self._kept)
-        if not other_pattern and kept is None and np.array_equal(self._lame, lame):
+        if not other_pattern and kept is None and _same(self._stiffness, stiffness):
             return None
-        self._K, self._lame = self.assembled.matrix(lame), lame.copy()
+        self._K, self._stiffness = stiffness.matrix(self.assembled), None
         if other_pattern:
             self._factor = None  # its memory goes before the next one's comes
             self._factor = Cholesky(self._K.indptr, self._K.indices, wanted if wanted.any() else None)
             self._kept = wanted
         assert self._factor is not None
-        return self._factor.factor(self._K.data)
+        schur = self._factor.factor(self._K.data)
+        self._stiffness = stiffness
+        return schur
+
+
+def _same(one: AbstractStiffness | None, other: AbstractStiffness) -> bool:
+    if isinstance(one, Elastic) and isinstance(other, Elastic):
+        return np.array_equal(np.asarray(one.lame), np.asarray(other.lame))
+    return one is other
 
 
 def _touched(columns: Columns, matrix: sp.csc_matrix) -> np.ndarray:

@@ -70,6 +70,14 @@ def _pulled_back(body: Body, lame: Lame, gradient: Float[Array, "points 3 3 elem
     return jnp.stack([jnp.stack([sum(S[i][j] * inverse[:, k, j] for j in axes) for i in axes], axis=1) for k in axes], axis=1)
 
 
+def nodal_forces(body: Body, stress: Float[Array, "elements points 3 3"]) -> Float[Array, "nodes 3"]:
+    """Nodal forces, N, in balance with a stress, MPa, at every quadrature point."""
+    weighted = stress * body.weight[..., None, None]
+    reference = jnp.einsum("eqij,eqkj->eqik", weighted, jnp.broadcast_to(body.inverse, (*body.weight.shape, 3, 3)))
+    forces = jnp.einsum("qak,eqik->eai", body.slopes, reference)
+    return body.incidence.accumulate(forces.reshape(-1, 3))
+
+
 def apply(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     """`internal_force` between nodes that are free to move: zero in, and zero out, on supports."""
     free = body.free[:, None]

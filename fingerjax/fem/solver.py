@@ -26,39 +26,47 @@ from .condensed import AbstractCondensed, ByColumns, Held
 from .factorised import CONVERGED, Host
 from .krylov import Field, Solution, conjugate_gradients
 from .multigrid import Hierarchy, hierarchy, preconditioner
-from .operator import Lame, apply
+from .operator import Lame
+from .stiffness import AbstractStiffness, Elastic
 
 Fields = Float[Array, "m nodes 3"]
 
 
 class AbstractSolver(eqx.Module):
-    """Finds displacements (m, n, 3), mm, under nodal forces (m, n, 3), N, for one body and given Lame parameters."""
+    """Finds displacements (m, n, 3), mm, under nodal forces (m, n, 3), N: of one body, at given Lame parameters or at a given stiffness."""
 
     @abc.abstractmethod
-    def held(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+    def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
         """Solve for every load with a rigid bone held where it is; forces on supports are ignored."""
 
-    def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+    @abc.abstractmethod
+    def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+        """Reduce the body to its columns; to be called outside of compiled code."""
+
+    def undo(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
         """Solve for every load; the tissue carries a rigid bone along where the body says so."""
-        together = jnp.concatenate([loads, bone_loads(body, lame)])
-        return let_go(body, lame, loads, self.held(body, lame, together))
+        together = jnp.concatenate([loads, bone_loads(stiffness)])
+        return let_go(stiffness, loads, self.held(stiffness, together))
+
+    def solve(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+        """`undo` for the linear body."""
+        return self.undo(Elastic(body, lame), loads)
 
     def condense(self, body: Body, lame: Lame, columns: Columns) -> AbstractCondensed:
-        """Reduce the body to its columns; to be called outside of compiled code."""
-        influence, held = _by_columns(self, body, lame, columns)
-        return ByColumns(held, influence)
+        """`reduce` for the linear body."""
+        return self.reduce(Elastic(body, lame), columns)
 
 
 @eqx.filter_jit
-def _by_columns(solver: AbstractSolver, body: Body, lame: Lame, columns: Columns) -> tuple[Fields, Held]:
-    solution = solver.solve(body, lame, columns.loads())
+def _by_columns(solver: AbstractSolver, stiffness: AbstractStiffness, columns: Columns) -> tuple[Fields, Held]:
+    solution = solver.undo(stiffness, columns.loads())
     matrix = columns.read(solution.displacement)
     worst = solution.iterations.max(), solution.residual.max(), solution.converged.all()
-    return solution.displacement, Held((matrix + matrix.T) / 2, lame, *worst)
+    return solution.displacement, Held((matrix + matrix.T) / 2, jnp.asarray(stiffness.lame), *worst)
 
 
 class MultigridCG(AbstractSolver):
-    """Conjugate gradients preconditioned by one V-cycle.
+    """Conjugate gradients preconditioned by one V-cycle, that of the linear body whatever the stiffness.
 
     - `tolerance`: the residual's norm relative to the load's.
     - `max_steps`: a solve cut short here is returned as not converged.
@@ -70,15 +78,21 @@ class MultigridCG(AbstractSolver):
     max_steps: int = eqx.field(static=True, default=500)
     batch: int = eqx.field(static=True, default=2)
 
-    def held(self, body: Body, lame: Lame, loads: Fields) -> Solution:
-        cycle = preconditioner(body, self.frozen, lame)
+    @eqx.filter_jit
+    def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
+        body = stiffness.body
+        cycle, free = preconditioner(body, self.frozen, jnp.asarray(stiffness.lame)), body.free[:, None]
 
         def one(load: Field) -> Solution:
             return conjugate_gradients(
-                lambda u: apply(body, lame, u), cycle, body.free[:, None] * load, tolerance=self.tolerance, max_steps=self.max_steps
+                lambda u: free * stiffness(free * u), cycle, free * load, tolerance=self.tolerance, max_steps=self.max_steps
             )
 
         return jax.lax.map(one, loads, batch_size=min(self.batch, loads.shape[0]))
+
+    def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+        influence, held = _by_columns(self, stiffness, columns)
+        return ByColumns(held, influence)
 
 
 def _checked(displacement: np.ndarray, residual: float) -> Solution:
@@ -91,18 +105,20 @@ class Factorised(AbstractSolver):
 
     host: Host = eqx.field(static=True)
 
-    def held(self, body: Body, lame: Lame, loads: Fields) -> Solution:
+    def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
         # Known numbers are solved for at once. A callback from compiled code is for traced ones only: compiled programs that hold one
         # are not kept between runs, and large arrays handed to one can wait for ever on a machine of two cores.
-        if not isinstance(lame, jax.core.Tracer) and not isinstance(loads, jax.core.Tracer):
-            return _checked(*self.host.solve(np.asarray(lame), np.asarray(loads)))
+        if not isinstance(stiffness.lame, jax.core.Tracer) and not isinstance(loads, jax.core.Tracer):
+            return _checked(*self.host.solve(stiffness, np.asarray(loads)))
+        if not isinstance(stiffness, Elastic):
+            raise TypeError("a factorised solver undoes the stiffness of a strained body outside of compiled code only")
         shapes = jax.ShapeDtypeStruct(loads.shape, loads.dtype), jax.ShapeDtypeStruct((), loads.dtype)
-        u, residual = jax.pure_callback(self.host.solve, shapes, lame, loads, vmap_method="sequential")
+        u, residual = jax.pure_callback(self.host.solve_elastic, shapes, stiffness.lame, loads, vmap_method="sequential")
         each = jnp.broadcast_to(residual, loads.shape[:1])
         return Solution(u, jnp.ones_like(each, dtype=int), each, each <= CONVERGED)
 
-    def condense(self, body: Body, lame: Lame, columns: Columns) -> AbstractCondensed:
-        return self.host.condense(body, np.asarray(lame), columns)
+    def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+        return self.host.condense(stiffness, columns)
 
 
 def direct_available() -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
-from ..contact.footprint import Interface, interface
+from ..contact.footprint import Interface, interface, only
 from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, from_spec
 from ..contact.locate import surface_functionals
 from ..contact.pad import Pad, functionals
@@ -230,19 +230,8 @@ def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix
     load = sp.coo_matrix(np.asarray(geometry.load[0])[:, kept])
     rows = 3 * np.asarray(cut.nodes[0])[load.row] + 1
     matrix = sp.csc_matrix((load.data, (rows, load.col)), shape=(3 * nodes, len(kept)))
-    return matrix, _only(geometry, kept)
-
-
-def _only(geometry: Interface, kept: np.ndarray) -> Interface:
-    """An interface without the hats that lie off the indenter; `pieces` that touch one of those lose their area."""
-    one = {field.name: np.asarray(getattr(geometry, field.name))[0] for field in dataclasses.fields(geometry)}
-    number = np.full(len(one["area"]), -1)
-    number[kept] = np.arange(len(kept))
-    pieces = number[one["pieces"]]
-    whole = np.all(pieces >= 0, axis=1)
-    left = {name: one[name][kept] for name in ("overlap", "area", "rim")}
-    left |= {"load": np.eye(len(kept)), "lowest": one["lowest"], "pieces": pieces[whole], "covered": one["covered"][whole]}
-    return jax.tree.unflatten(jax.tree.structure(geometry), [jnp.asarray(left[name][None]) for name in one])
+    pressing = only(jax.tree.map(lambda leaf: leaf[0], geometry), kept, jnp.eye(len(kept)))
+    return matrix, jax.tree.map(lambda leaf: leaf[None], pressing)
 
 
 def _indentations(plan: Plan, limit: float) -> list[Indentation]:

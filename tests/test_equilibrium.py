@@ -1,0 +1,159 @@
+"""Equilibrium of nonlinear tissue under nodal forces: closed forms, the linear engine at null, Newton's rate, cuts, failures, slopes."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fingerjax._results import RESULTS
+from fingerjax.fem.body import assemble_body, material
+from fingerjax.fem.carried import admissible
+from fingerjax.fem.cholesky import Indefinite
+from fingerjax.fem.energy import internal_force
+from fingerjax.fem.equilibrium import Newton, NodalForces, Tissue, find, slopes
+from fingerjax.fem.operator import nodal_forces
+from fingerjax.fem.solver import direct_available, solver_for
+from fingerjax.fem.stiffness import Tangent, tangent
+from fingerjax.fem.tissue import Exponential, FiniteStrain, Linear
+
+from .fem_tools import converged_quadratically, cube, cube_body
+from .helpers import DIFFERENCED, SOLVED
+
+SKIN = material({"epidermis": 0.18, "dermis": 0.018, "adipose": 0.012, "fibrous": 0.03}, 0.48)
+EVEN = jnp.broadcast_to(jnp.array([[0.4], [0.1]]), (2, 5))
+B = jnp.full(5, 2.0)
+
+
+def law(homotopy=1.0, stiffening=1.0):
+    """Of one structure for all tests: compiled once."""
+    return Exponential(FiniteStrain(homotopy), stiffening * B)
+
+
+needs_direct = pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
+SOLVERS = ["multigrid", pytest.param("factorised", marks=needs_direct)]
+
+
+@pytest.fixture(scope="module")
+def body():
+    """A cube that hangs on its upper face y = 1."""
+    return cube_body(2, layers=4)
+
+
+@pytest.fixture(scope="module")
+def solvers(body):
+    return {kind: solver_for(body, kind) for kind in ("multigrid", *(["factorised"] if direct_available() else []))}
+
+
+def exact_stress(tissue, slope):
+    """First Piola-Kirchhoff stress of F = I + slope (x) e_y, by hand."""
+    lam, mu = EVEN[:, 0]
+    F = jnp.eye(3).at[:, 1].add(slope)
+    J, cofactor = 1 + slope[1], jnp.eye(3).at[1].add(-slope / (1 + slope[1]))
+    neo = mu * (F - cofactor) + lam / 2 * (J**2 - 1) * cofactor
+    energy = mu / 2 * (jnp.sum(F * F) - 3 - 2 * jnp.log(J)) + lam / 4 * (J**2 - 1 - 2 * jnp.log(J))
+    return neo * jnp.exp(tissue.stiffening[0] * energy / mu)
+
+
+@pytest.mark.parametrize("stiffening", [0.0, 1.0], ids=["neo-Hookean", "stiffening"])
+@pytest.mark.parametrize("slope", [(0.0, 0.4, 0.0), (0.0, -0.03, 0.0), (0.4, 0.1, 0.0)], ids=["pulled", "squeezed", "sheared"])
+def test_homogeneous_deformations_have_their_closed_form(body, solvers, stiffening, slope):
+    """All faces but the upper one are loaded with the stress; squeezed twice as much, the cube would turn out from under its load."""
+    slope = jnp.array(slope)
+    stress = jnp.broadcast_to(exact_stress(law(1.0, stiffening), slope), (*body.weight.shape, 3, 3))
+    tissue = Tissue(body, law(1.0, stiffening), EVEN, solvers.get("factorised", solvers["multigrid"]))
+    found = find(tissue, NodalForces(nodal_forces(body, stress)), Newton(tolerance=1e-11))
+    assert found.result.ok and found.residual < 1e-11 and found.reached == 1.0
+    np.testing.assert_allclose(found.state.displacement, (body.nodes[:, 1:2] - 1) * slope, atol=1e-9)
+    assert found.smallest_volume == pytest.approx(1 + float(slope[1]), rel=1e-8)
+
+
+def pull(body, size=1e-4):
+    return jnp.asarray(np.random.default_rng(0).normal(size=body.nodes.shape)) * jnp.where(body.nodes[:, 1:2] < 1e-9, size, 0.0)
+
+
+@pytest.mark.parametrize("kind", SOLVERS)
+def test_null_tissue_answers_as_the_linear_engine_in_one_iteration(body, solvers, kind):
+    load = pull(body)
+    exact = solvers[kind].solve(body, SKIN.lame(), load[None]).displacement[0]
+    for tissue in (Linear(), law(0.0, 0.0)):
+        found = find(Tissue(body, tissue, SKIN.lame(), solvers[kind]), NodalForces(load), Newton(tolerance=1e-8))
+        assert found.result.ok and found.iterations == found.steps == 1
+        SOLVED.check(found.state.displacement, exact)
+
+
+def test_both_solvers_find_the_same_and_newton_is_quadratic(body, solvers):
+    load = pull(body)
+    found = [find(Tissue(body, law(), SKIN.lame(), solver), NodalForces(load)) for solver in solvers.values()]
+    for each in found:
+        assert each.result.ok and each.cuts == 0 and converged_quadratically(each.history)
+        force = eqx.filter_jit(internal_force)(body, law(), SKIN.lame(), each.state.displacement)
+        assert jnp.linalg.norm(body.free[:, None] * (force - load)) <= 1e-9 * jnp.linalg.norm(load)
+    linear = solvers["multigrid"].solve(body, SKIN.lame(), load[None]).displacement[0]
+    assert jnp.abs(found[0].state.displacement - linear).max() > 0.02 * jnp.abs(linear).max()
+    SOLVED.check(found[-1].state.displacement, found[0].state.displacement)
+
+
+@needs_direct
+def test_the_end_does_not_depend_on_the_steps(body, solvers):
+    slope = jnp.array([0.4, 0.1, 0.0])
+    load = NodalForces(nodal_forces(body, jnp.broadcast_to(exact_stress(law(), slope), (*body.weight.shape, 3, 3))))
+    tissue = Tissue(body, law(), EVEN, solvers["factorised"])
+    whole, eight = find(tissue, load), find(tissue, load, Newton(steps=8))
+    assert whole.result.ok and eight.result.ok and whole.steps == 1 and eight.steps == 8
+    SOLVED.check(whole.state.displacement, eight.state.displacement)
+    half = find(tissue, NodalForces(0.5 * load.force))
+    SOLVED.check(find(tissue, load, start=half.state).state.displacement, eight.state.displacement)
+
+
+@needs_direct
+def test_a_search_without_an_end_says_where_it_stopped(body, solvers):
+    tissue, load = Tissue(body, law(1.0, 0.0), EVEN, solvers["factorised"]), pull(body, 0.05)
+    few = Newton(iterations=2, smallest=0.3)
+    found = find(tissue, NodalForces(load), few)
+    assert found.result is RESULTS.no_equilibrium and not found.result.ok
+    assert found.reached < 1.0 and found.cuts == 2 and found.history[-1] > few.tolerance
+    assert found.residual <= few.tolerance or found.reached == 0.0
+    assert jnp.all(jnp.isfinite(found.state.displacement))
+
+
+@needs_direct
+def test_a_tangent_that_is_not_positive_definite_is_refused(body, solvers):
+    stiffness = tangent(body, Linear(), EVEN, jnp.zeros(body.nodes.shape))
+    wrong = Tangent(body, EVEN, -stiffness.moduli)
+    with pytest.raises(Indefinite, match="not positive definite"):
+        solvers["factorised"].undo(wrong, pull(body)[None])
+    assert solvers["factorised"].undo(stiffness, pull(body)[None]).converged.all()
+
+
+def test_a_carried_bone_is_pushed_by_what_pushes_it():
+    """A rigid plate under a cube that hangs on its upper face: six unknowns, loaded beside its middle."""
+    nodes, tets = cube(2)
+    plate = nodes[:, 1] < 1e-9
+    body = assemble_body(nodes, tets, np.zeros(len(tets), int), nodes[:, 1] > 1 - 1e-9, carried=plate)
+    load = jnp.zeros(nodes.shape).at[np.flatnonzero(plate)[0]].set(jnp.array([0.002, -0.01, 0.004]))
+    found = find(Tissue(body, law(), EVEN, solver_for(body)), NodalForces(load))
+    u = found.state.displacement
+    assert found.result.ok and converged_quadratically(found.history)
+    SOLVED.check(admissible(body, u), u)
+    force = eqx.filter_jit(internal_force)(body, law(), EVEN, u)
+    np.testing.assert_allclose(jnp.einsum("mni,ni->m", body.modes, force - load), 0.0, atol=1e-10)
+
+
+@needs_direct
+def test_slopes_in_moduli_and_nonlinear_parameters_match_differences(body, solvers):
+    load, newton = NodalForces(pull(body)), Newton(tolerance=1e-12)
+    values = jnp.array([0.1, -0.2, 1.5, 0.6])
+
+    def of(v):
+        return law(v[3], jnp.zeros(5).at[1].set(v[2])), SKIN.lame() * jnp.exp(jnp.zeros((2, 5)).at[:, :2].add(v[:2]))
+
+    def at(v):
+        return find(Tissue(body, *of(v), solvers["factorised"]), load, newton)
+
+    found, h = at(values), 1e-4
+    exact = slopes(Tissue(body, *of(values), solvers["factorised"]), load, found.state, of, values).displacement
+    for parameter in range(len(values)):
+        there, back = (at(values.at[parameter].add(step)).state.displacement for step in (h, -h))
+        DIFFERENCED.check((there - back) / (2 * h), exact[parameter])
