@@ -157,9 +157,8 @@ def test_linear_energy_and_force_are_the_operators():
     np.testing.assert_allclose(elements, lam * volumetric + mu * shear, atol=1e-13 * np.abs(elements).max())
 
 
-@pytest.mark.parametrize("name", ["neo-Hookean", "stiffening at finite strain"])
-def test_force_and_tangent_are_the_energys_derivatives(name):
-    body, tissue, lame = cube_body(2, layers=4), TISSUES[name], SKIN.lame()
+def test_force_and_tangent_are_the_energys_derivatives():
+    body, tissue, lame = cube_body(2, layers=4), TISSUES["stiffening at finite strain"], SKIN.lame()
     u = 0.01 * jax.random.normal(jax.random.key(0), body.nodes.shape)
     way = jax.random.normal(jax.random.key(1), body.nodes.shape) * body.free[:, None]
     slope = eqx.filter_jit(jax.grad(total_energy, argnums=3))(body, tissue, lame, u)

@@ -88,7 +88,10 @@ class MultigridCG(AbstractSolver):
                 lambda u: free * stiffness(free * u), cycle, free * load, tolerance=self.tolerance, max_steps=self.max_steps
             )
 
-        return jax.lax.map(one, loads, batch_size=min(self.batch, loads.shape[0]))
+        # Whole batches only: a remainder would be compiled once more, and a load of zero is answered at once.
+        count, batch = loads.shape[0], min(self.batch, loads.shape[0])
+        padded = jnp.concatenate([loads, jnp.zeros((-count % batch, *loads.shape[1:]))])
+        return jax.tree.map(lambda part: part[:count], jax.lax.map(one, padded, batch_size=batch))
 
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         influence, held = _by_columns(self, stiffness, columns)
