@@ -69,8 +69,7 @@ def state(plate: Assembled) -> AtRest:
     known = settle((rig,), [condensed], model.body, jnp.zeros((1, 0, *condensed.held.lame.shape)))
     contact, _ = eqx.filter_jit(pressed)(rig, known.rigs[0], known, jnp.zeros((1, 0)))
     forces = jnp.zeros((2, model.columns.count)).at[:, rig.columns[0]].add(contact.nodal_forces)
-    load = jnp.einsum("km,mni->kni", forces, model.columns.loads())
-    return balance.at_rest(model.body, condensed.held.lame, load, condensed.displacement(forces))
+    return balance.at_rest(model, condensed, forces)
 
 
 def statics(plate: Assembled, state: AtRest) -> list[Check]:
