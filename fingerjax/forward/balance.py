@@ -19,6 +19,7 @@ from ..fem.carried import admissible, bone_loads
 from ..fem.columns import Columns
 from ..fem.condensed import AbstractCondensed
 from ..fem.operator import Lame, internal_force, strain_energy
+from ..fem.stiffness import Elastic
 from .model import Model
 from .pressing import Known, Settled, pressed, settle
 from .rigs import Rig
@@ -74,7 +75,7 @@ def _recomputed(body: Body, lame: Lame, columns: Columns, forces: Array, load: A
 
     asked = jnp.abs(forces) @ jnp.linalg.norm(columns.weight.reshape(columns.count, -1), axis=1)
     moved = jnp.abs(jnp.einsum("bni,kni->kb", body.modes, displacement))
-    asked = asked + moved @ jnp.linalg.norm(bone_loads(body, lame).reshape(len(body.modes), displacement[0].size), axis=1)
+    asked = asked + moved @ jnp.linalg.norm(bone_loads(Elastic(body, lame)).reshape(len(body.modes), displacement[0].size), axis=1)
     internal, energy = jax.lax.map(one, displacement)
     return AtRest(load, displacement, internal, energy, asked)
 
