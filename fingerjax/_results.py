@@ -33,7 +33,7 @@ class RESULTS(enum.Enum):
         "largest travel, or start from stiffer moduli."
     )
     at_limit = (
-        "A parameter ended at its limit, so its value and uncertainty mean little; widen the limit, fix "
+        "A parameter ran to its limit, or towards it on a plateau, so its value and uncertainty mean little; widen the limit, fix "
         "the parameter, or tie it to another."
     )
     not_identified = (

@@ -164,7 +164,7 @@ def test_a_limit_holds_and_is_told(side: str, keys: dict[str, float], value: flo
     assert found.limits == {"slope": side}
     assert found.values["slope"] == pytest.approx(value)
     estimate = uncertainty(found)["slope"]
-    assert math.isnan(estimate.lower) and estimate.reason == f"at its {side} limit"
+    assert math.isnan(estimate.lower) and estimate.reason == f"ran towards its {side} limit"
 
 
 def test_the_others_are_fitted_with_one_at_its_limit() -> None:

@@ -171,7 +171,7 @@ class _Record:
         limits = self.limits() if self.best.usable else {}
         if result is RESULTS.successful and limits:
             result = RESULTS.at_limit
-            reason += "; at its limit: " + ", ".join(f"{name} ({side})" for name, side in limits.items())
+            reason += "; ran towards its limit: " + ", ".join(f"{name} ({side})" for name, side in limits.items())
         best = self.best
         return Fit(
             self.problem, result, reason, best.raw, best.residual, best.jacobian, self.gradient, self.steps,

@@ -200,7 +200,7 @@ def _reason(fit: Fit, limit: str | None, involved: bool, vague: bool, t: float) 
     if not fit.settled:
         return f"no optimum: {fit.reason}"
     if limit is not None:
-        return f"at its {limit} limit"
+        return f"ran towards its {limit} limit"
     if involved:
         return "not seen by these data"
     if t != t:

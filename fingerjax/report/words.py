@@ -28,7 +28,7 @@ def verdict(fit: Fit, known: Uncertainty) -> str:
 def _value(one: Estimate) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
     if one.at_limit:
-        return f"{one.name} ended at its {one.at_limit} limit, {one.value:.3g}{unit}"
+        return f"{one.name} ran towards its {one.at_limit} limit and stopped at {one.value:.3g}{unit}"
     if not one.identified and math.isnan(one.lower):
         return f"{one.name} is undefined ({one.reason})"
     vague = "" if one.identified else ", hardly seen"
@@ -40,7 +40,7 @@ def warnings(fit: Fit, known: Uncertainty) -> list[str]:
     if not fit.settled:
         return [f"{fit.result.value} Here: {fit.reason}."]
     said = [
-        f"{name} ended at its {side} limit: {RESULTS.at_limit.value}" for name, side in fit.limits.items()
+        f"{name} ran towards its {side} limit: {RESULTS.at_limit.value}" for name, side in fit.limits.items()
     ]
     said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in known.sentences]
     said += [f"{one.name}: {one.reason}." for one in known.estimates if _hardly(one)]
