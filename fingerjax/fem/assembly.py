@@ -64,7 +64,7 @@ class Assembled:
         place = self._slot[_entries(self._block)]
         used = place >= 0
         layer = np.repeat(np.asarray(body.layer), used.size // len(body.layer))[used]
-        key, self._layers = layer * np.int64(self._pattern.nnz) + place[used], int(np.asarray(body.layer).max()) + 1
+        key = layer * np.int64(self._pattern.nnz) + place[used]
         kept, where = np.unique(key, return_inverse=True)
         self._layer, self._place = np.divmod(kept, self._pattern.nnz)
         self._volumetric, self._shear = (np.bincount(where, part.ravel()[used]) for part in element_matrices(body))
@@ -83,12 +83,6 @@ class Assembled:
 
     def _holding(self, data: np.ndarray) -> sp.csr_matrix:
         return sp.csr_matrix((data, self._pattern.indices, self._pattern.indptr), shape=self._pattern.shape)
-
-    def part(self, layer: int, modulus: int) -> sp.csr_matrix:
-        """The stiffness per unit of one Lame parameter (0 first, 1 shear) of one layer."""
-        lame = np.zeros((2, self._layers))
-        lame[modulus, layer] = 1.0
-        return self.matrix(lame)
 
 
 def _entries(block: np.ndarray) -> np.ndarray:

@@ -117,7 +117,7 @@ def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2
 
     - `bone`: `"rigid"` moves as one piece, carried by the tissue around it, and its elements are left out; `"held"` is rigid and does
       not move at all; `"elastic"` meshes it. A rigid bone gives the forces of a very stiff elastic one, a held one does not: under a
-      plate it makes the finger up to twice as stiff.
+      plate it makes the finger about half as stiff again (the table of drivers has the figure).
     - `order`: 2 for quadratic tetrahedra, 1 for linear ones on the same corners.
     - `degree`: of the quadrature; 2 (four points) is exact where elements are straight and keeps the order of convergence where not.
     - `dilatation`: `"mean"` lets pressure be constant in each element (Nagtegaal, Parks & Rice, 1974): one volume is kept
@@ -187,10 +187,6 @@ def assemble_body(
         incidence=incidence(tets, len(nodes)),
         dilatation=dilatation,
     )
-
-
-def without_load_on_supports(body: Body, load: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
-    return load * body.free[:, None]
 
 
 __all__ = ["BONE", "Body", "Incidence", "Material", "assemble_body", "body", "incidence", "material"]

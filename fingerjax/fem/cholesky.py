@@ -12,7 +12,6 @@ import ctypes
 import sys
 
 import numpy as np
-import scipy.sparse as sp
 
 SYMMETRIC_POSITIVE_DEFINITE = 2
 ANALYSE, FACTOR, SOLVE, RELEASE = 11, 22, 33, -1
@@ -92,9 +91,3 @@ class Cholesky:
     def __del__(self) -> None:
         if getattr(self, "_analysed", False) and not sys.is_finalizing():
             self._call(RELEASE, np.zeros(1), np.zeros(1))
-
-
-def upper_pattern(matrix: sp.csr_matrix) -> tuple[np.ndarray, np.ndarray]:
-    """`indptr` and `indices` of an upper triangle as `Cholesky` wants them."""
-    matrix.sort_indices()
-    return matrix.indptr, matrix.indices

@@ -45,8 +45,7 @@ def stress(body: Body, lame: Lame, gradient: Float[Array, "elements points 3 3"]
 def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     """Nodal forces, N, that hold the displacement `u`, mm; on supports these are the reactions.
 
-    Between two products with the reference gradients, which are one dense matrix for all elements, everything runs along the elements:
-    an eighth of the time of the same sums as small contractions element by element.
+    Between two products with the reference gradients, which are one dense matrix for all elements, everything runs along the elements.
     """
     points, corners = body.slopes.shape[:2]
     reference = jnp.swapaxes(body.slopes, 1, 2).reshape(3 * points, corners)
