@@ -1,4 +1,4 @@
-"""A finger made ready for the solvers: element geometry at quadrature points, supports, and the order of accumulation."""
+"""A finger made ready for the solvers: element geometry at quadrature points, and supports."""
 
 from __future__ import annotations
 
@@ -40,38 +40,6 @@ def material(moduli: dict[str, float], poisson_ratio: float | dict[str, float] =
     return Material(jnp.asarray(E), jnp.asarray(nu))
 
 
-class Incidence(eqx.Module):
-    """Which rows of the element forces meet at each node, as padded gathers: XLA's scatter is serial on a CPU.
-
-    Nodes are split in groups of similar valence, so that a corner shared by forty elements does not pad a midside shared by six.
-    """
-
-    rows: tuple[Int[Array, "_ _"], ...]
-    order: Int[Array, " nodes"]
-
-    def accumulate(self, values: Float[Array, "rows 3"]) -> Float[Array, "nodes 3"]:
-        padded = jnp.concatenate([values, jnp.zeros((1, values.shape[1]), values.dtype)])
-        return jnp.concatenate([padded[rows].sum(axis=1) for rows in self.rows])[self.order]
-
-
-def incidence(connectivity: np.ndarray, nodes: int, groups: int = 5) -> Incidence:
-    """The gathers that add element rows (element-major, as `connectivity.ravel()`) to `nodes` nodes."""
-    flat = connectivity.ravel()
-    valence = np.bincount(flat, minlength=nodes)
-    by_node = np.argsort(flat, kind="stable")
-    start = np.concatenate([[0], np.cumsum(valence)])
-    sorted_nodes = np.argsort(valence, kind="stable")
-    rows = tuple(_padded_rows(part, by_node, start, valence, len(flat)) for part in np.array_split(sorted_nodes, groups) if len(part))
-    return Incidence(rows, jnp.asarray(np.argsort(sorted_nodes), jnp.int32))
-
-
-def _padded_rows(part: np.ndarray, by_node: np.ndarray, start: np.ndarray, valence: np.ndarray, padding: int) -> Array:
-    slot = np.arange(max(int(valence[part].max()), 1))
-    index = np.minimum(start[part][:, None] + slot, len(by_node) - 1)
-    rows = np.where(slot < valence[part][:, None], by_node[index], padding)
-    return jnp.asarray(rows, jnp.int32)
-
-
 class Body(eqx.Module):
     """Elements, supports and geometry; every array is a leaf, so that a body is an argument of compiled code, never a constant.
 
@@ -90,7 +58,6 @@ class Body(eqx.Module):
     slopes: Float[Array, "points corners 3"]
     inverse_along: Float[Array, "_ 3 3 elements"]
     weight_along: Float[Array, "points elements"]
-    incidence: Incidence
     dilatation: str = eqx.field(static=True, default="pointwise")
 
     @property
@@ -184,9 +151,8 @@ def assemble_body(
         slopes=jnp.asarray(slopes),
         inverse_along=jnp.asarray(np.moveaxis(inverse, 0, 3).copy()),
         weight_along=jnp.asarray((determinant * weights).T.copy()),
-        incidence=incidence(tets, len(nodes)),
         dilatation=dilatation,
     )
 
 
-__all__ = ["BONE", "Body", "Incidence", "Material", "assemble_body", "body", "incidence", "material"]
+__all__ = ["BONE", "Body", "Material", "assemble_body", "body", "material"]

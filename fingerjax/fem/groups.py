@@ -63,7 +63,7 @@ class Groups(eqx.Module):
     def apply(self, inverse: Float[Array, "g b b"], r: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         g, s = self.members.shape
         padded = jnp.concatenate([r, jnp.zeros((1, 3), r.dtype)])
-        solved = jnp.sum(inverse * padded[self.members].reshape(g, 1, 3 * s), axis=2).reshape(g * s, 3)
+        solved = jnp.einsum("gij,gj->gi", inverse, padded[self.members].reshape(g, 3 * s)).reshape(g * s, 3)
         return jnp.concatenate([solved, jnp.zeros((1, 3), r.dtype)])[self.slot]
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from .affine import Affine, Terms
 from .assembly import chunks, element_matrices
-from .body import Body, Incidence, incidence
+from .body import Body
 from .element import EDGES
 from .groups import Groups, strong_groups, within
 from .krylov import Field
@@ -33,13 +33,14 @@ class Midsides(eqx.Module):
     """From the corners of quadratic tetrahedra to all their nodes: a midside moves by the mean of its two corners."""
 
     parents: Int[Array, "nodes 2"]
-    children: Incidence
+    corners: int = eqx.field(static=True)
 
     def prolong(self, coarse: Float[Array, "corners 3"]) -> Field:
         return jnp.asarray(0.5, coarse.dtype) * coarse[self.parents].sum(axis=1)
 
     def restrict(self, fine: Field) -> Float[Array, "corners 3"]:
-        return self.children.accumulate(jnp.asarray(0.5, fine.dtype) * jnp.repeat(fine, 2, axis=0))
+        half = jnp.asarray(0.5, fine.dtype) * fine
+        return jnp.zeros((self.corners, 3), fine.dtype).at[self.parents].add(half[:, None])
 
 
 class Corners(eqx.Module):
@@ -51,9 +52,14 @@ class Corners(eqx.Module):
     def blocks(self, lame: Lame) -> Float[Array, "n w 3 3"]:
         return self.entries(lame).reshape(*self.neighbours.shape, 3, 3)
 
+    def rows(self, lame: Lame) -> Float[Array, "n 3 k"]:
+        """The same with the three rows of a node one after the other."""
+        return jnp.moveaxis(self.blocks(lame), 2, 1).reshape(len(self.neighbours), 3, -1)
 
-def multiply(neighbours: Int[Array, "n w"], blocks: Float[Array, "n w 3 3"], u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    return jnp.sum(blocks * u[neighbours][:, :, None, :], axis=(1, 3))
+
+def multiply(neighbours: Int[Array, "n w"], blocks: Float[Array, "n 3 k"], u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    n, w = neighbours.shape
+    return jnp.einsum("nik,nk->ni", blocks, u[neighbours].reshape(n, 3 * w))
 
 
 class Aggregates(eqx.Module):
@@ -98,7 +104,7 @@ def hierarchy(body: Body, *, coarsest: int = 900) -> Hierarchy:
     aggregates = _aggregates(np.asarray(body.nodes)[used], free, corners, _layers(body), coarsest)
     if body.order == 1:
         return Hierarchy(None, None, corners, groups, aggregates)
-    midsides = Midsides(jnp.asarray(parents, jnp.int32), incidence(parents, len(used)))
+    midsides = Midsides(jnp.asarray(parents, jnp.int32), len(used))
     return Hierarchy(midsides, _fine_groups(body), corners, groups, aggregates)
 
 
@@ -119,14 +125,14 @@ def _corners(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _corner_terms(body: Body, part: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Element matrices (e, 4, 3, 4, 3) seen from the corners: a midside moves by the mean of its two corners."""
-    parts = element_matrices(body, part)
+    """Element matrices (e, 4, 3, 4, 3) seen from the corners: a midside moves by the mean of its two corners, unless it is held."""
     size = body.tets.shape[1]
     share = np.eye(4)
     if body.order == 2:
         share = np.concatenate([share, 0.5 * (share[EDGES[:, 0]] + share[EDGES[:, 1]])])
-    shaped = (each.reshape(-1, size, 3, size, 3) for each in parts)
-    first, second = (np.einsum("ac,eaibj,bd->ecidj", share, each, share, optimize=True) for each in shaped)
+    moves = np.asarray(body.free)[np.asarray(body.tets)[part]]
+    held = (each * moves[:, :, None, None, None] * moves[:, None, None, :, None] for each in _shaped(element_matrices(body, part), size))
+    first, second = (np.einsum("ac,eaibj,bd->ecidj", share, each, share, optimize=True) for each in held)
     return first, second
 
 
@@ -292,16 +298,20 @@ def _padded(matrix: sp.csr_matrix) -> tuple[Array, Array]:
 
 
 class Smoother(eqx.Module):
-    """Chebyshev polynomial of the stiffness preconditioned by its strong groups (Adams, Brezina, Hu & Tuminaro, 2003)."""
+    """Chebyshev polynomial of the stiffness preconditioned by its strong groups (Adams, Brezina, Hu & Tuminaro, 2003).
+
+    It acts on eigenvalues from the largest down to the largest over `width`, and costs `degree` products with the stiffness.
+    """
 
     groups: Groups
     inverse: Float[Array, "g b b"]
     largest: Float[Array, ""]
-    degree: int = eqx.field(static=True, default=3)
+    degree: int = eqx.field(static=True, default=4)
+    width: float = eqx.field(static=True, default=20.0)
 
     def __call__(self, operate: Callable[[Field], Field], load: Field, start: Field | None) -> Field:
         """Approximate `K^-1 load` from `start` (zero where None); the same polynomial before and after keeps the cycle symmetric."""
-        upper, lower = 1.1 * self.largest, self.largest / 8.0
+        upper, lower = 1.1 * self.largest, self.largest / self.width
         theta, delta = (upper + lower) / 2, (upper - lower) / 2
         u = jnp.zeros_like(load) if start is None else start
         r = load if start is None else load - operate(start)
@@ -358,7 +368,7 @@ def _corner_cycle(frozen: Hierarchy, lame: Lame, less: Callable[[Any], Any], pre
     coarse = jnp.einsum("pl,plij->ij", lame[:, : aggregates.parts.shape[1]], aggregates.parts)
     # An explicit inverse: one product per cycle instead of two triangular solves, which XLA runs column by column.
     inverse = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(coarse, lower=True), jnp.eye(len(coarse))).astype(precision)
-    blocks, moved = frozen.corners.blocks(lame).astype(precision), less(aggregates)
+    blocks, moved = frozen.corners.rows(lame).astype(precision), less(aggregates)
 
     def operate(v: Field) -> Field:
         return multiply(frozen.corners.neighbours, blocks, v)

@@ -50,10 +50,10 @@ def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[
     points, corners = body.slopes.shape[:2]
     reference = jnp.swapaxes(body.slopes, 1, 2).reshape(3 * points, corners)
     moved = jnp.swapaxes(u[body.tets.T], 1, 2)  # a node, i direction, e element
-    gradient = (reference @ moved.reshape(corners, -1)).reshape(points, 3, 3, -1)  # q point, k reference axis, i, e
-    pulled = _pulled_back(body, lame, gradient).reshape(3 * points, -1)
+    gradient = jax.lax.optimization_barrier((reference @ moved.reshape(corners, -1)).reshape(points, 3, 3, -1))  # q, k reference axis, i, e
+    pulled = jax.lax.optimization_barrier(_pulled_back(body, lame, gradient)).reshape(3 * points, -1)
     forces = (reference.T @ pulled).reshape(corners, 3, -1)
-    return body.incidence.accumulate(jnp.transpose(forces, (2, 0, 1)).reshape(-1, 3))
+    return accumulate(body, jnp.transpose(forces, (2, 0, 1)))
 
 
 def _pulled_back(body: Body, lame: Lame, gradient: Float[Array, "points 3 3 elements"]) -> Float[Array, "points 3 3 elements"]:
@@ -65,16 +65,23 @@ def _pulled_back(body: Body, lame: Lame, gradient: Float[Array, "points 3 3 elem
     if body.dilatation == "mean":
         trace = jnp.sum(body.weight_along * trace, axis=0) / jnp.sum(body.weight_along, axis=0)
     pressure = volumetric * trace
-    S = [[shear * (G[i][j] + G[j][i]) + (pressure if i == j else 0.0) for j in axes] for i in axes]
+    # The barrier keeps XLA from computing each of the six stresses anew in every place that uses it.
+    normal = [2 * shear * G[i][i] + pressure for i in axes]
+    xx, yy, zz, yz, zx, xy = jax.lax.optimization_barrier((*normal, *(shear * (G[i][j] + G[j][i]) for i, j in ((1, 2), (2, 0), (0, 1)))))
+    S = [[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]
     return jnp.stack([jnp.stack([sum(S[i][j] * inverse[:, k, j] for j in axes) for i in axes], axis=1) for k in axes], axis=1)
+
+
+def accumulate(body: Body, rows: Float[Array, "elements corners 3"]) -> Float[Array, "nodes 3"]:
+    """The sum at each node of what its elements give it."""
+    return jnp.zeros((len(body.free), 3), rows.dtype).at[body.tets].add(rows)
 
 
 def nodal_forces(body: Body, stress: Float[Array, "elements points 3 3"]) -> Float[Array, "nodes 3"]:
     """Nodal forces, N, in balance with a stress, MPa, at every quadrature point."""
     weighted = stress * body.weight[..., None, None]
     reference = jnp.einsum("eqij,eqkj->eqik", weighted, jnp.broadcast_to(body.inverse, (*body.weight.shape, 3, 3)))
-    forces = jnp.einsum("qak,eqik->eai", body.slopes, reference)
-    return body.incidence.accumulate(forces.reshape(-1, 3))
+    return accumulate(body, jnp.einsum("qak,eqik->eai", body.slopes, reference))
 
 
 def apply(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
@@ -87,19 +94,3 @@ def strain_energy(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[A
     """Elastic energy, N mm."""
     gradient = displacement_gradient(body, u)
     return 0.5 * jnp.sum(body.weight[..., None, None] * stress(body, lame, gradient) * gradient)
-
-
-def diagonal_blocks(body: Body, lame: Lame) -> Float[Array, "nodes 3 3"]:
-    """The 3 x 3 block of the stiffness at each node; the identity on supports."""
-    lam, mu = lame[:, body.layer]
-    slope = jnp.einsum("qak,eqkj->eqaj", body.slopes, jnp.broadcast_to(body.inverse, (*body.weight.shape, 3, 3)))
-    outer = jnp.einsum("eq,eqai,eqaj->eaij", body.weight, slope, slope)
-    square = jnp.trace(outer, axis1=2, axis2=3)[..., None, None] * jnp.eye(3)
-    volumetric = outer
-    if body.dilatation == "mean":
-        total = jnp.einsum("eq,eqai->eai", body.weight, slope)
-        volumetric = jnp.einsum("eai,eaj->eaij", total, total) / jnp.sum(body.weight, axis=1)[:, None, None, None]
-    blocks = lam[:, None, None, None] * volumetric + mu[:, None, None, None] * (outer + square)
-    summed = jax.vmap(body.incidence.accumulate, in_axes=1, out_axes=1)(blocks.reshape(-1, 3, 3))
-    free = body.free[:, None, None]
-    return free * summed + (1 - free) * jnp.eye(3)
