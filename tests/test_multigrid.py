@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from fingerjax.fem.body import Body, assemble_body, body, material
-from fingerjax.fem.multigrid import Hierarchy, hierarchy, multiply, preconditioner
+from fingerjax.fem.multigrid import Hierarchy, hierarchy, preconditioner
 from fingerjax.fem.operator import apply
 from fingerjax.fem.solver import MultigridCG
 from fingerjax.fem.stiffness import Elastic
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh.bodies import block
-from tests.fem_tools import cube
+from tests.fem_tools import cube, cube_body
 
 SKIN = material(dict(zip(SOFT_LAYERS, (1.0, 0.1, 0.1, 0.1), strict=True)), 0.48)
 
@@ -38,17 +38,17 @@ def test_the_corner_level_is_the_stiffness_between_corners(patchy: tuple[Body, H
     assert frozen.midsides is not None
     v = corner_field(frozen, one, 0)
     seen = frozen.midsides.restrict(apply(one, SKIN.lame(), frozen.midsides.prolong(v)))
-    own = multiply(frozen.corners.neighbours, frozen.corners.rows(SKIN.lame()), v)
+    own = frozen.corners.multiply(frozen.corners.rows(SKIN.lame()), v)
     free = np.asarray(one.free)[np.unique(np.asarray(one.tets)[:, :4])]
     assert jnp.allclose(own, free[:, None] * seen, rtol=0, atol=1e-12 * jnp.abs(own).max())
 
 
 def test_the_aggregates_are_the_corner_level_between_aggregates(patchy: tuple[Body, Hierarchy]) -> None:
-    one, frozen = patchy
+    frozen = patchy[1]
     below = frozen.aggregates
     v = jax.random.normal(jax.random.key(1), below.columns.shape[:1])
     lame = SKIN.lame()[:, :4]
-    seen = below.restrict(multiply(frozen.corners.neighbours, frozen.corners.rows(SKIN.lame()), below.prolong(v)))
+    seen = below.restrict(frozen.corners.multiply(frozen.corners.rows(SKIN.lame()), below.prolong(v)))
     own = jnp.einsum("pl,plij,j->i", lame, below.parts, v)
     assert jnp.allclose(own, seen, rtol=0, atol=1e-12 * jnp.abs(own).max())
 
@@ -71,6 +71,15 @@ def test_the_cycle_is_symmetric_and_shrinks_every_error(patchy: tuple[Body, Hier
         left = v - cycle(apply(one, lame, v))
         assert jnp.vdot(left, apply(one, lame, left)) < jnp.vdot(v, apply(one, lame, v))
         v = left / jnp.linalg.norm(left)
+
+
+def test_the_sliced_form_is_the_matrix_free_product() -> None:
+    one = cube_body(4, order=1, layers=4)
+    frozen, u = hierarchy(one), jax.random.normal(jax.random.key(6), (len(one.free), 3)) * one.free[:, None]
+    free, found = apply(one, SKIN.lame(), u), frozen.corners.multiply(frozen.corners.rows(SKIN.lame()), u)
+    assert jnp.allclose(found, free, rtol=0, atol=1e-13 * jnp.abs(free).max())
+    matrix = frozen.corners.matrix(SKIN.lame())
+    assert np.allclose(matrix @ np.asarray(u).ravel(), np.asarray(free).ravel(), rtol=0, atol=1e-13 * np.abs(free).max())
 
 
 @pytest.mark.parametrize("model", ["m43338", "m25528", "m52258", "m22228"])

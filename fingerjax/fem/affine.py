@@ -39,6 +39,13 @@ class Terms:
         kept = place >= 0
         self._parts.append(_summed(*(part[kept] for part in (place, layer, volumetric, shear))))
 
+    def add_rows(self, corner: np.ndarray, stride: np.ndarray, layer: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> None:
+        """Blocks of element matrices (e, a, 3, b, 3), their rows `stride` (e, a, b) apart, each from its `corner` on; -1: nowhere."""
+        here = corner >= 0
+        at = corner[here][:, None, None] + stride[here][:, None, None] * np.arange(3)[:, None] + np.arange(3)
+        owner = np.broadcast_to(layer[:, None, None], corner.shape)[here]
+        self.add(at.ravel(), np.repeat(owner, 9), *(np.moveaxis(part, 3, 2)[here].ravel() for part in parts))
+
     def affine(self) -> Affine:
         place, layer, volumetric, shear = map(jnp.asarray, _summed(*(np.concatenate(part) for part in zip(*self._parts, strict=True))))
         return Affine(place, layer, volumetric, shear, self.size)

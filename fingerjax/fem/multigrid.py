@@ -18,13 +18,14 @@ import pyamg
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
-from .affine import Affine, Terms
+from .affine import Terms
 from .assembly import chunks, element_matrices
 from .body import Body
 from .element import EDGES
 from .groups import Groups, strong_groups, within
 from .krylov import Field
 from .operator import Lame, apply
+from .sliced import Sliced, sliced
 
 EQUAL = (12.0, 0.5)  # Lame parameters at which the transfers are made, the same in every layer: a Poisson's ratio of 0.48
 
@@ -41,25 +42,6 @@ class Midsides(eqx.Module):
     def restrict(self, fine: Field) -> Float[Array, "corners 3"]:
         half = jnp.asarray(0.5, fine.dtype) * fine
         return jnp.zeros((self.corners, 3), fine.dtype).at[self.parents].add(half[:, None])
-
-
-class Corners(eqx.Module):
-    """The level of the linear tetrahedra, as a sparse matrix: `neighbours` (n, w) and the blocks (n, w, 3, 3) between them and a node."""
-
-    neighbours: Int[Array, "n w"]
-    entries: Affine
-
-    def blocks(self, lame: Lame) -> Float[Array, "n w 3 3"]:
-        return self.entries(lame).reshape(*self.neighbours.shape, 3, 3)
-
-    def rows(self, lame: Lame) -> Float[Array, "n 3 k"]:
-        """The same with the three rows of a node one after the other."""
-        return jnp.moveaxis(self.blocks(lame), 2, 1).reshape(len(self.neighbours), 3, -1)
-
-
-def multiply(neighbours: Int[Array, "n w"], blocks: Float[Array, "n 3 k"], u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    n, w = neighbours.shape
-    return jnp.einsum("nik,nk->ni", blocks, u[neighbours].reshape(n, 3 * w))
 
 
 class Aggregates(eqx.Module):
@@ -86,7 +68,7 @@ class Hierarchy(eqx.Module):
 
     midsides: Midsides | None
     groups: Groups | None
-    corners: Corners
+    corners: Sliced
     corner_groups: Groups
     aggregates: Aggregates
 
@@ -164,29 +146,12 @@ def _equal(parts: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 def _sparse_level(
     tets: np.ndarray, layer: np.ndarray, free: np.ndarray, matrices: list[tuple[np.ndarray, np.ndarray]]
-) -> tuple[Corners, Groups]:
+) -> tuple[Sliced, Groups]:
     first, second = (np.concatenate(part) for part in zip(*matrices, strict=True))
-    n = len(free)
-    pairs, which = _pairs(tets, n)
-    row, column = np.divmod(pairs, n)
-    slot = np.arange(len(pairs)) - np.repeat(np.searchsorted(row, np.arange(n)), np.bincount(row, minlength=n))
-    width = int(slot.max()) + 1
-    neighbours = np.zeros((n, width), np.int32)
-    neighbours[row, slot] = column
-    between = np.where(free[row] & free[column], 9 * (row * width + slot), -1)
-    terms = Terms(9 * n * width)
-    _add_blocks(terms, between[which], layer, (first, second))
+    pairs, which = _pairs(tets, len(free))
     members = strong_groups(_coupling(pairs, _added(which, _equal((first, second)), len(pairs)), free))
-    return Corners(jnp.asarray(neighbours), terms.affine()), _groups(members, tets, layer, free, [(slice(None), (first, second))])
-
-
-def _add_blocks(terms: Terms, place: np.ndarray, layer: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> None:
-    """Add element blocks (e, a, 3, b, 3) where `place` (e, a, b) says that each block's first entry belongs, row by row; -1: nowhere."""
-    here = place >= 0
-    at = place[here][:, None, None] + 3 * np.arange(3)[:, None] + np.arange(3)
-    owner = np.broadcast_to(layer[:, None, None], place.shape)[here]
-    values = (np.moveaxis(part, 3, 2)[here].ravel() for part in parts)
-    terms.add(at.ravel(), np.repeat(owner, 9), *values)
+    level = sliced(pairs, which, layer, free, (first, second))
+    return level, _groups(members, tets, layer, free, [(slice(None), (first, second))])
 
 
 def _groups(
@@ -204,17 +169,9 @@ def _groups(
         here, there, block = place[tets[part]][:, :, None], place[tets[part]][:, None, :], group[tets[part]]
         together = (block[:, :, None] == block[:, None, :]) & (block[:, :, None] >= 0)
         corner = np.where(together, (block[:, :, None] * 3 * s + 3 * here) * 3 * s + 3 * there, -1)
-        _add_rows(terms, corner, 3 * s, layer[part], parts)
+        terms.add_rows(corner, np.full(corner.shape, 3 * s), layer[part], parts)
     slot = np.where(group >= 0, group * s + place, g * s)
     return Groups(jnp.asarray(members, jnp.int32), jnp.asarray(slot, jnp.int32), terms.affine())
-
-
-def _add_rows(terms: Terms, corner: np.ndarray, stride: int, layer: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> None:
-    """Add element blocks whose rows lie `stride` entries apart, each from its `corner` (e, a, b) on; -1: nowhere."""
-    here = corner >= 0
-    at = corner[here][:, None, None] + stride * np.arange(3)[:, None] + np.arange(3)
-    owner = np.broadcast_to(layer[:, None, None], corner.shape)[here]
-    terms.add(at.ravel(), np.repeat(owner, 9), *(np.moveaxis(part, 3, 2)[here].ravel() for part in parts))
 
 
 def _fine_groups(body: Body) -> Groups:
@@ -245,11 +202,11 @@ def rigid_body_modes(nodes: np.ndarray) -> np.ndarray:
     return modes.reshape(-1, 6)
 
 
-def _aggregates(nodes: np.ndarray, free: np.ndarray, corners: Corners, layers: int, coarsest: int) -> Aggregates:
+def _aggregates(nodes: np.ndarray, free: np.ndarray, corners: Sliced, layers: int, coarsest: int) -> Aggregates:
     unknown = np.flatnonzero(np.repeat(free, 3))
 
     def matrix(lame: np.ndarray) -> sp.csr_matrix:
-        return _as_matrix(corners, lame)[unknown][:, unknown]
+        return corners.matrix(lame)[unknown][:, unknown]
 
     K = matrix(np.broadcast_to(np.array(EQUAL)[:, None], (2, layers))).tobsr(blocksize=(3, 3))
     P = _prolongator(K, rigid_body_modes(nodes)[unknown], coarsest)
@@ -263,18 +220,6 @@ def _aggregates(nodes: np.ndarray, free: np.ndarray, corners: Corners, layers: i
     rows, row_index = _padded(full)
     columns, column_index = _padded(sp.csr_matrix(full.T))
     return Aggregates(rows, row_index, columns, column_index, jnp.asarray(parts))
-
-
-def _as_matrix(corners: Corners, lame: np.ndarray) -> sp.csr_matrix:
-    """The corner level at given moduli as a sparse matrix (3n, 3n)."""
-    neighbours = np.asarray(corners.neighbours)
-    n, w = neighbours.shape
-    blocks = np.asarray(corners.blocks(jnp.asarray(lame)))
-    row = np.broadcast_to(3 * np.arange(n)[:, None, None, None] + np.arange(3)[:, None], (n, w, 3, 3))
-    column = np.broadcast_to(3 * neighbours[:, :, None, None] + np.arange(3), (n, w, 3, 3))
-    matrix = sp.csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(3 * n, 3 * n))
-    matrix.eliminate_zeros()  # rows are filled up with the first node, which is no neighbour
-    return matrix
 
 
 def _prolongator(K: sp.bsr_matrix, modes: np.ndarray, coarsest: int) -> sp.csr_matrix:
@@ -368,10 +313,10 @@ def _corner_cycle(frozen: Hierarchy, lame: Lame, less: Callable[[Any], Any], pre
     coarse = jnp.einsum("pl,plij->ij", lame[:, : aggregates.parts.shape[1]], aggregates.parts)
     # An explicit inverse: one product per cycle instead of two triangular solves, which XLA runs column by column.
     inverse = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(coarse, lower=True), jnp.eye(len(coarse))).astype(precision)
-    blocks, moved = frozen.corners.rows(lame).astype(precision), less(aggregates)
+    rows, moved = less(frozen.corners.rows(lame)), less(aggregates)
 
     def operate(v: Field) -> Field:
-        return multiply(frozen.corners.neighbours, blocks, v)
+        return frozen.corners.multiply(rows, v)
 
     smooth = smoother(frozen.corner_groups, operate, lame, precision)
 

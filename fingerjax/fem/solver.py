@@ -4,19 +4,21 @@
 - `Factorised`: a sparse Cholesky factorisation on the host (MKL PARDISO, the extra `direct`), unbeaten below about thirty thousand
   nodes when many loads are asked for at once, and the way to condense a skin that is touched at hundreds of places.
 
-Both return the true residual. Neither is differentiated: derivatives come from the implicit rule in `displacement` and from the closed
-forms in `compliance` and `condensed`.
+Where JAX sees several devices, `Shared` deals load cases out among them. All return the true residual. None is differentiated:
+derivatives come from the implicit rule in `displacement` and from the closed forms in `compliance` and `condensed`.
 """
 
 from __future__ import annotations
 
 import abc
 import importlib.util
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float
 
 from .body import Body
@@ -57,8 +59,14 @@ class AbstractSolver(eqx.Module):
         return self.reduce(Elastic(body, lame), columns)
 
 
+def by_columns(solver: AbstractSolver, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+    """The body reduced by solving for every column."""
+    influence, held = _influence(solver, stiffness, columns)
+    return ByColumns(held, influence)
+
+
 @eqx.filter_jit
-def _by_columns(solver: AbstractSolver, stiffness: AbstractStiffness, columns: Columns) -> tuple[Fields, Held]:
+def _influence(solver: AbstractSolver, stiffness: AbstractStiffness, columns: Columns) -> tuple[Fields, Held]:
     solution = solver.undo(stiffness, columns.loads())
     matrix = columns.read(solution.displacement)
     worst = solution.iterations.max(), solution.residual.max(), solution.converged.all()
@@ -82,20 +90,54 @@ class MultigridCG(AbstractSolver):
     def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
         body = stiffness.body
         cycle, free = preconditioner(body, self.frozen, jnp.asarray(stiffness.lame)), body.free[:, None]
+        product = self._product(stiffness)
 
         def one(load: Field) -> Solution:
-            return conjugate_gradients(
-                lambda u: free * stiffness(free * u), cycle, free * load, tolerance=self.tolerance, max_steps=self.max_steps
-            )
+            return conjugate_gradients(product, cycle, free * load, tolerance=self.tolerance, max_steps=self.max_steps)
 
         # Whole batches only: a remainder would be compiled once more, and a load of zero is answered at once.
         count, batch = loads.shape[0], min(self.batch, loads.shape[0])
         padded = jnp.concatenate([loads, jnp.zeros((-count % batch, *loads.shape[1:]))])
         return jax.tree.map(lambda part: part[:count], jax.lax.map(one, padded, batch_size=batch))
 
+    def _product(self, stiffness: AbstractStiffness) -> Callable[[Field], Field]:
+        """The stiffness between free nodes: assembled for linear tetrahedra, matrix-free for quadratic ones, as each is faster."""
+        if isinstance(stiffness, Elastic) and stiffness.body.order == 1:
+            rows = self.frozen.corners.rows(jnp.asarray(stiffness.lame))
+            return lambda u: self.frozen.corners.multiply(rows, u)
+        free = stiffness.body.free[:, None]
+        return lambda u: free * stiffness(free * u)
+
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
-        influence, held = _by_columns(self, stiffness, columns)
-        return ByColumns(held, influence)
+        return by_columns(self, stiffness, columns)
+
+
+class Shared(AbstractSolver):
+    """The solver `one` on each of several devices, with load cases dealt out among them; the answers are those of `one` alone.
+
+    One solve is never split: at the size of a fingertip its parts would wait for one another more than they compute.
+    """
+
+    one: MultigridCG
+    devices: tuple[jax.Device, ...] = eqx.field(static=True)
+
+    @eqx.filter_jit
+    def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
+        count, among = loads.shape[0], len(self.devices)
+        padded = jnp.concatenate([loads, jnp.zeros((-count % among, *loads.shape[1:]))])
+        arrays, rest = eqx.partition((self.one, stiffness), eqx.is_array)
+        mesh, everywhere, dealt = Mesh(np.asarray(self.devices), ("cases",)), PartitionSpec(), PartitionSpec("cases")
+
+        def own(arrays: tuple, loads: Fields) -> Solution:
+            solver, stiffness = eqx.combine(arrays, rest)
+            return solver.held(stiffness, loads)
+
+        # Loops carry constants that are the same on every device without saying so, hence no check of what varies among them.
+        solution = jax.shard_map(own, mesh=mesh, in_specs=(everywhere, dealt), out_specs=dealt, check_vma=False)(arrays, padded)
+        return jax.tree.map(lambda part: part[:count], solution)
+
+    def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+        return by_columns(self, stiffness, columns)
 
 
 def _checked(displacement: np.ndarray, residual: float) -> Solution:
@@ -138,4 +180,5 @@ def solver_for(body: Body, kind: str = "auto") -> AbstractSolver:
         return Factorised(Host(body))
     if kind != "multigrid":
         raise ValueError(f"unknown solver {kind!r}; choose 'auto', 'multigrid' or 'factorised'")
-    return MultigridCG(hierarchy(body))
+    solver, devices = MultigridCG(hierarchy(body)), tuple(jax.devices())
+    return Shared(solver, devices) if len(devices) > 1 else solver

@@ -1,0 +1,249 @@
+"""The forward engine in figures: products, growth, batches of columns, derivatives, iterations over the box of moduli, condensing, starts.
+
+`--quick` stays at 8,500 nodes. Every growth figure comes from a process of its own, so that memory is its alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks._bodies import COARSE, FINE, Problem, bytes_per_unknown, moduli, problem
+from benchmarks._record import Figure, at_least, at_most, run
+from fingerjax.fem.assembly import Assembled
+from fingerjax.fem.columns import Columns, columns_from_matrix
+from fingerjax.fem.compliance import compliance
+from fingerjax.fem.multigrid import Hierarchy, hierarchy, preconditioner
+from fingerjax.fem.operator import apply, internal_force
+from fingerjax.fem.solver import MultigridCG, direct_available, solver_for
+from fingerjax.fem.stiffness import Elastic
+
+REPEATS = 3
+HARDEST = [(*skin, 8) for skin in itertools.product((2, 5), repeat=4)]  # corners of the box of models m{2..5}{2..5}{2..5}{2..5}8
+GROWTH = ((0.5, False), (0.17, False), (0.5, True), (0.3, True), (0.22, True))  # node spacing, each element cut into eight
+
+
+def main(quick: bool) -> Iterator[Figure]:
+    """The figures of every part, in order."""
+    one = problem(COARSE if quick else FINE)
+    frozen = hierarchy(one.body)
+    yield from products(one)
+    yield from bandwidth(one, frozen)
+    yield from batches(one, frozen)
+    yield from derivatives(one, frozen)
+    yield from iterations(one, frozen)
+    yield from condensing()
+    yield from growth(GROWTH[:1] if quick else GROWTH)
+    yield starting()
+
+
+def seconds(call: Callable[[], Any]) -> float:
+    """The least of some repeats, the first call left out."""
+    jax.block_until_ready(call())
+    found = []
+    for _ in range(REPEATS):
+        begun = time.perf_counter()
+        jax.block_until_ready(call())
+        found.append(time.perf_counter() - begun)
+    return min(found)
+
+
+def products(one: Problem) -> Iterator[Figure]:
+    """The matrix-free product beside the assembled one of SciPy."""
+    body, nodes = one.body, len(one.body.free)
+    assembled = Assembled(body, upper=False)
+    K = assembled.matrix(np.asarray(one.lame))
+    u = jax.random.normal(jax.random.key(0), (nodes, 3)) * body.free[:, None]
+    flat, multiply = np.asarray(u).ravel()[assembled.free], jax.jit(apply)
+    free, sparse = np.asarray(multiply(body, one.lame, u)).ravel()[assembled.free], K @ flat
+    note = f"{nodes} nodes, P2"
+    apart = float(np.abs(free - sparse).max() / np.abs(sparse).max())
+    yield at_most("matrix-free and assembled product differ by", apart, "1", 1e-13, note)
+    alone = seconds(lambda: multiply(body, one.lame, u))
+    yield Figure("matrix-free product", 1e3 * alone, "ms", note=note)
+    stored = f"{K.data.nbytes / one.unknowns:.0f} bytes per unknown"
+    yield Figure("SciPy's assembled product", 1e3 * seconds(lambda: K @ flat), "ms", note=stored)
+    single = jax.tree.map(_halved, (body, one.lame, u))
+    yield Figure("matrix-free product, single precision", 1e3 * seconds(lambda: multiply(*single)), "ms", note=note)
+    yield at_most("matrix-free product reads", bytes_per_unknown(one), "bytes/unknown", 60, note)
+
+
+def _halved(leaf: Any) -> Any:
+    return leaf.astype(jnp.float32) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+
+def bandwidth(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
+    """Bytes that one V-cycle has to read, by its time, against a triad on this machine."""
+    a, b, c = (np.ones(20_000_000) for _ in range(3))
+    triad = 3 * a.nbytes / seconds(lambda: np.add(a, b, out=c)) / 1e9
+    yield Figure("triad, NumPy on one thread", triad, "GB/s")
+    load = jnp.asarray(one.load)
+
+    @jax.jit
+    def cycles(count: jax.Array, body: Any, frozen: Hierarchy, lame: jax.Array) -> jax.Array:
+        cycle = preconditioner(body, frozen, lame)
+        return jax.lax.fori_loop(0, count, lambda _, r: cycle(r), load)
+
+    none, ten = (seconds(partial(cycles, jnp.asarray(count), one.body, frozen, one.lame)) for count in (0, 10))
+    cycle = (ten - none) / 10
+    yield Figure("V-cycle", 1e3 * cycle, "ms", note="single precision")
+    product = 0.5 * bytes_per_unknown(one) * one.unknowns
+    groups = 4 * (frozen.groups.members.size * 9 * frozen.groups.members.shape[1] if frozen.groups is not None else 0)
+    rows = 4 * sum(each.size for each in frozen.corners.rows(one.lame))
+    moved = 8 * (product + groups + rows) / cycle / 1e9
+    note = "the rest is arithmetic of the matrix-free product, which XLA keeps from the roof: eight of them, see its time above"
+    yield at_least("V-cycle reads, as a share of the triad", moved / triad, "1", 0.6, note)
+
+
+def batches(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
+    """A column among sixteen against a column alone."""
+    nodes = len(one.body.free)
+    rows = np.flatnonzero(one.load[:, 1])[:16]
+    loads = jnp.zeros((len(rows), nodes, 3)).at[jnp.arange(len(rows)), rows, 1].set(1.0)
+    stiffness = Elastic(one.body, one.lame)
+    single = MultigridCG(frozen, tolerance=1e-8, batch=1)
+    alone = seconds(lambda: single.held(stiffness, loads[:1]))
+    for batch in (2, 4, 16):
+        many = MultigridCG(frozen, tolerance=1e-8, batch=batch)
+        share = seconds(partial(many.held, stiffness, loads)) / len(rows) / alone
+        figure, note = f"a column of 16, {batch} at a time, against a single solve", f"{nodes} nodes; single {alone:.2f} s"
+        yield at_most(figure, share, "1", 0.35, note) if batch == 16 else Figure(figure, share, "1", note=note)
+
+
+def derivatives(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
+    """Force with its moduli's derivatives, and sixteen skin deflections with theirs, against the answer alone."""
+    solver = MultigridCG(frozen, tolerance=1e-8, batch=4)
+    body, nodes = one.body, len(one.body.free)
+    stiffness, load = Elastic(body, one.lame), jnp.asarray(one.load)
+    rows = np.flatnonzero(one.load[:, 1])[:16]
+    units = jnp.eye(8).reshape(8, 2, 4)
+    units = jnp.pad(units, ((0, 0), (0, 0), (0, one.lame.shape[1] - 4)))
+
+    @jax.jit
+    def tangents(body: Any, u: jax.Array) -> jax.Array:
+        return jax.lax.map(lambda unit: internal_force(body, unit, u), units)
+
+    def forward() -> jax.Array:
+        return solver.held(stiffness, load[None]).displacement[0]
+
+    def force() -> tuple[jax.Array, jax.Array]:
+        u = forward()
+        return jnp.vdot(load, u), -tangents(body, u).reshape(8, -1) @ u.ravel()
+
+    def profile() -> tuple[jax.Array, jax.Array]:
+        u = forward()
+        return u[rows, 1], -solver.held(stiffness, _by_modulus(tangents(body, u))).displacement[:, rows, 1]
+
+    alone = seconds(forward)
+    note = f"{nodes} nodes; forward {alone:.2f} s"
+    yield at_most("compliance with all derivatives, against the compliance", seconds(force) / alone, "1", 1.1, note)
+    yield at_most("profile with the Jacobian of four moduli, against the profile", seconds(profile) / alone, "1", 2.5, note)
+
+
+def _by_modulus(tangents: jax.Array) -> jax.Array:
+    """Products with d K / d E of each layer at a Poisson ratio of 0.48, from those per unit of each Lame parameter."""
+    lame = moduli("m4444", 0.48).lame()[:, 0]
+    volumetric, shear = tangents[:4], tangents[4:]
+    return lame[0] * volumetric + lame[1] * shear
+
+
+def iterations(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
+    """With one hierarchy: the paper's model, nearer to incompressible, and the corners of the box of models."""
+    solver = MultigridCG(frozen, tolerance=1e-8, batch=1)
+    load, note = jnp.asarray(one.load)[None], f"{len(one.body.free)} nodes, to 1e-8"
+
+    def count(model: str, ratio: float) -> int:
+        solution = solver.held(Elastic(one.body, moduli(model, ratio).lame()), load)
+        return int(solution.iterations[0]) if bool(solution.converged[0]) else solver.max_steps
+
+    yield at_most("iterations, m43338 at 0.48", count("m43338", 0.48), "1", 60, note)
+    yield at_most("iterations, m43338 at 0.495", count("m43338", 0.495), "1", 90, note)
+    found = {model: count(model, 0.48) for model in ("m" + "".join(map(str, powers)) for powers in HARDEST)}
+    worst = max(found, key=lambda model: found[model])
+    yield at_most("iterations, the worst of the box's corners at 0.48", found[worst], "1", 120, f"{note}; {worst}")
+
+
+def condensing() -> Iterator[Figure]:
+    """A pad of the small mesh with all modulus derivatives, against a factorisation and as many columns."""
+    one = problem(COARSE)
+    columns = _pad(one, 150)
+    lame = one.lame
+
+    def slopes(kind: str) -> Callable[[], Any]:
+        solver = solver_for(one.body, kind)
+        return lambda: _condensed(solver, one, columns, lame * (1 + 1e-6 * next(tick)))
+
+    tick = itertools.count()
+    if not direct_available():
+        yield Figure("condensing 150 columns", float("nan"), "1", note="needs pip install fingerjax[direct]")
+        return
+    host, load = solver_for(one.body, "factorised"), columns.loads()
+    plain = seconds(lambda: host.held(Elastic(one.body, lame * (1 + 1e-6 * next(tick))), load))
+    note = f"{len(one.body.free)} nodes, {columns.count} columns; factorisation and columns {plain:.2f} s"
+    yield at_most("condensing with all modulus derivatives, with PARDISO", seconds(slopes("factorised")) / plain, "1", 1.3, note)
+    yield at_most("condensing with all modulus derivatives, without", seconds(slopes("multigrid")) / plain, "1", 6.0, note)
+
+
+def _condensed(solver: Any, one: Problem, columns: Columns, lame: jax.Array) -> Any:
+    """The condensed matrix and its derivative in the modulus of every layer."""
+    from fingerjax.fem.body import Material
+
+    ratio = lame[0] / (2 * (lame[0] + lame[1]))
+    moduli = 2 * lame[1] * (1 + ratio)
+
+    def matrix(E: jax.Array) -> jax.Array:
+        return compliance(one.body, solver, Material(E, ratio), columns).matrix
+
+    return jax.jvp(matrix, (moduli,), (jnp.ones_like(moduli),))
+
+
+def _pad(one: Problem, count: int) -> Columns:
+    import scipy.sparse as sp
+
+    rows = np.flatnonzero(one.load[:, 1])[:count]
+    return columns_from_matrix(sp.csc_matrix((np.ones(len(rows)), (3 * rows + 1, np.arange(len(rows)))), shape=(one.load.size, len(rows))))
+
+
+def growth(sizes: tuple[tuple[float, bool], ...]) -> Iterator[Figure]:
+    """Time and memory per unknown from 8,500 nodes to a million unknowns, each in its own process."""
+    found = []
+    for pad, refined in sizes:
+        command = [sys.executable, "-m", "benchmarks._growth", str(pad), str(int(refined))]
+        print(f"growth: {pad} mm {'in eighths' if refined else ''} ...", file=sys.stderr, flush=True)
+        done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"NPROC": "16"})
+        if done.returncode:
+            yield Figure(f"solve at {pad} mm", float("nan"), "s", note=(done.stderr.strip().splitlines() or ["no message"])[-1][:160])
+            continue
+        each = json.loads(done.stdout.splitlines()[-1])
+        found.append(each)
+        note = f"{each['iterations']} iterations; hierarchy {each['frozen']:.1f} s; first call {each['first']:.1f} s; {each['GiB']:.1f} GiB"
+        yield Figure(f"solve, {each['nodes']} nodes", each["seconds"], "s", note=f"{note}; residual {each['residual']:.0e}")
+    if len(found) > 1:
+        rates = [each["seconds"] / each["unknowns"] for each in found]
+        text = "the rest is iterations: " + ", ".join(f"{each['iterations']}" for each in found)
+        yield at_most("time per unknown, largest against smallest mesh", rates[-1] / rates[0], "1", 1.3, text)
+        yield at_most(f"memory at {found[-1]['unknowns']} unknowns", found[-1]["GiB"], "GiB", 24)
+
+
+def starting() -> Figure:
+    """The first answer of a new process whose caches are warm, against imports and a warm answer."""
+    command = [sys.executable, "-m", "benchmarks._growth", str(COARSE.pad), "0", "start"]
+    _, done = (subprocess.run(command, capture_output=True, text=True, env=os.environ | {"NPROC": "16"}, check=True) for _ in range(2))
+    each = json.loads(done.stdout.splitlines()[-1])  # the first one filled the caches
+    limit, note = 2 * each["seconds"] + each["imports"], f"imports {each['imports']:.1f} s, warm answer {each['seconds']:.2f} s, 8.7k nodes"
+    return at_most("first answer of a new process", each["first"] + each["imports"], "s", limit, note)
+
+
+if __name__ == "__main__":
+    run(main)
