@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from fingerjax.fem.body import Body, assemble_body, body, material
+from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.multigrid import Hierarchy, hierarchy, preconditioner
 from fingerjax.fem.operator import apply
 from fingerjax.fem.solver import MultigridCG
@@ -89,6 +93,20 @@ def test_one_hierarchy_serves_the_box_of_moduli(thin: tuple[Body, Hierarchy], mo
     load = jnp.zeros((1, len(one.free), 3)).at[0, np.asarray(one.nodes)[:, 1] < 1e-9, 1].set(1e-3)
     solution = MultigridCG(frozen, tolerance=1e-8).held(Elastic(one, material(moduli, 0.48).lame()), load)
     assert solution.converged.all() and int(solution.iterations[0]) <= 60
+
+
+def test_columns_begin_where_they_ended_at_the_last_moduli() -> None:
+    shape = block((2.0, 1.0, 2.0), (4, 3, 4))
+    one = body(dataclasses.replace(shape, nail=shape.nodes[:, 2] < 1e-9), bone="rigid")
+    skin = np.flatnonzero(np.asarray(one.nodes)[:, 1] < 1e-9)[:3]
+    columns = columns_from_matrix(sp.csc_matrix((np.ones(3), (3 * skin + 1, np.arange(3))), shape=(3 * len(one.free), 3)))
+    solver, other = (MultigridCG(hierarchy(one), tolerance=1e-8) for _ in range(2))
+    solver.condense(one, SKIN.lame(), columns)
+    near = 1.0001 * SKIN.lame()
+    again, anew = solver.condense(one, near, columns).held, other.condense(one, near, columns).held
+    assert again.converged and again.residual <= 1e-7
+    assert int(again.iterations) < 0.7 * int(anew.iterations)
+    assert jnp.allclose(again.matrix, anew.matrix, rtol=0, atol=1e-6 * jnp.abs(anew.matrix).max())
 
 
 @pytest.fixture(scope="module")

@@ -37,10 +37,11 @@ def conjugate_gradients(
     precondition: Callable[[Field], Field],
     load: Field,
     *,
+    start: Field | None = None,
     tolerance: float,
     max_steps: int,
 ) -> Solution:
-    """Solve `K u = load` for a symmetric positive definite `K` (Hestenes & Stiefel, 1952).
+    """Solve `K u = load` for a symmetric positive definite `K` (Hestenes & Stiefel, 1952), from `start`, zero where None.
 
     Stops when the norm of the residual falls to `tolerance` times that of the load, or after `max_steps`. A load of zero is answered
     with zero. Lineax's own stop compares entry by entry and would call a load that is zero on most nodes converged at once.
@@ -48,7 +49,8 @@ def conjugate_gradients(
     scale = jnp.linalg.norm(load)
     goal = tolerance * scale
     zero = jnp.zeros_like(load)
-    start = _State(zero, load, zero, jnp.ones(()), jnp.asarray(0))
+    begin = (zero, load) if start is None else (start, load - apply(start))
+    first = _State(*begin, zero, jnp.ones(()), jnp.asarray(0))
 
     def running(state: _State) -> Bool[Array, ""]:
         return (jnp.linalg.norm(state.r) > goal) & (state.step < max_steps)
@@ -62,7 +64,7 @@ def conjugate_gradients(
         alpha = rz / jnp.vdot(p, Kp)
         return _State(state.u + alpha * p, state.r - alpha * Kp, p, rz, state.step + 1)
 
-    final = jax.lax.while_loop(running, advance, start)
+    final = jax.lax.while_loop(running, advance, first)
     residual = jnp.linalg.norm(load - apply(final.u)) / jnp.where(scale > 0, scale, 1.0)
     # The recurrence drifts from the truth by rounding; ten times the goal is drift, more is failure.
     return Solution(final.u, final.step, residual, residual <= 10 * tolerance)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import abc
 import importlib.util
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -59,18 +60,44 @@ class AbstractSolver(eqx.Module):
         return self.reduce(Elastic(body, lame), columns)
 
 
-def by_columns(solver: AbstractSolver, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
-    """The body reduced by solving for every column."""
-    influence, held = _influence(solver, stiffness, columns)
-    return ByColumns(held, influence)
+class Last:
+    """The columns that a solver answered last, bone held: where it begins when it is asked for them at other moduli. Lives on the host."""
+
+    most = 2**30  # bytes that are kept
+
+    def __init__(self) -> None:
+        self._of: Array | None = None
+        self._held: Fields | None = None
+
+    def start(self, columns: Columns, count: int) -> Fields:
+        """Displacements (count, nodes, 3): the last answer to these columns, or zeros."""
+        if self._held is not None and self._of is columns.weight and len(self._held) == count:
+            return self._held
+        return jnp.zeros((count, columns.nodes, 3))
+
+    def keep(self, columns: Columns, held: Fields) -> None:
+        kept = held.nbytes <= self.most and bool(jnp.all(jnp.isfinite(held)))
+        self._of, self._held = (columns.weight, held) if kept else (None, None)
+
+
+def _by_columns(solver: MultigridCG | Shared, last: Last, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+    """The body reduced by solving for every column, each begun where it ended at the last moduli."""
+    start = last.start(columns, columns.count + len(stiffness.body.modes))
+    held, influence, matrix = _influence(solver, stiffness, columns, start)
+    last.keep(columns, held)
+    return ByColumns(matrix, influence)
 
 
 @eqx.filter_jit
-def _influence(solver: AbstractSolver, stiffness: AbstractStiffness, columns: Columns) -> tuple[Fields, Held]:
-    solution = solver.undo(stiffness, columns.loads())
+def _influence(
+    solver: MultigridCG | Shared, stiffness: AbstractStiffness, columns: Columns, start: Float[Array, "solved nodes 3"]
+) -> tuple[Float[Array, "solved nodes 3"], Fields, Held]:
+    loads = columns.loads()
+    held = solver.held(stiffness, jnp.concatenate([loads, bone_loads(stiffness)]), start)
+    solution = let_go(stiffness, loads, held)
     matrix = columns.read(solution.displacement)
     worst = solution.iterations.max(), solution.residual.max(), solution.converged.all()
-    return solution.displacement, Held((matrix + matrix.T) / 2, jnp.asarray(stiffness.lame), *worst)
+    return held.displacement, solution.displacement, Held((matrix + matrix.T) / 2, jnp.asarray(stiffness.lame), *worst)
 
 
 class MultigridCG(AbstractSolver):
@@ -85,20 +112,24 @@ class MultigridCG(AbstractSolver):
     tolerance: float = eqx.field(static=True, default=1e-9)
     max_steps: int = eqx.field(static=True, default=500)
     batch: int = eqx.field(static=True, default=2)
+    last: Last = eqx.field(static=True, default_factory=Last)
 
     @eqx.filter_jit
-    def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
+    def held(self, stiffness: AbstractStiffness, loads: Fields, start: Fields | None = None) -> Solution:
+        """`start` (m, n, 3): where to begin, zero where None."""
         body = stiffness.body
         cycle, free = preconditioner(body, self.frozen, jnp.asarray(stiffness.lame)), body.free[:, None]
         product = self._product(stiffness)
 
-        def one(load: Field) -> Solution:
-            return conjugate_gradients(product, cycle, free * load, tolerance=self.tolerance, max_steps=self.max_steps)
+        def one(case: tuple[Field, Field | None]) -> Solution:
+            load, start = case
+            begin = None if start is None else free * start
+            return conjugate_gradients(product, cycle, free * load, start=begin, tolerance=self.tolerance, max_steps=self.max_steps)
 
         # Whole batches only: a remainder would be compiled once more, and a load of zero is answered at once.
         count, batch = loads.shape[0], min(self.batch, loads.shape[0])
-        padded = jnp.concatenate([loads, jnp.zeros((-count % batch, *loads.shape[1:]))])
-        return jax.tree.map(lambda part: part[:count], jax.lax.map(one, padded, batch_size=batch))
+        cases = jax.tree.map(partial(_filled_up, count=-count % batch), (loads, start))
+        return jax.tree.map(lambda part: part[:count], jax.lax.map(one, cases, batch_size=batch))
 
     def _product(self, stiffness: AbstractStiffness) -> Callable[[Field], Field]:
         """The stiffness between free nodes: assembled for linear tetrahedra, matrix-free for quadratic ones, as each is faster."""
@@ -109,7 +140,7 @@ class MultigridCG(AbstractSolver):
         return lambda u: free * stiffness(free * u)
 
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
-        return by_columns(self, stiffness, columns)
+        return _by_columns(self, self.last, stiffness, columns)
 
 
 class Shared(AbstractSolver):
@@ -122,22 +153,26 @@ class Shared(AbstractSolver):
     devices: tuple[jax.Device, ...] = eqx.field(static=True)
 
     @eqx.filter_jit
-    def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
-        count, among = loads.shape[0], len(self.devices)
-        padded = jnp.concatenate([loads, jnp.zeros((-count % among, *loads.shape[1:]))])
+    def held(self, stiffness: AbstractStiffness, loads: Fields, start: Fields | None = None) -> Solution:
+        count = loads.shape[0]
+        cases = jax.tree.map(partial(_filled_up, count=-count % len(self.devices)), (loads, start))
         arrays, rest = eqx.partition((self.one, stiffness), eqx.is_array)
         mesh, everywhere, dealt = Mesh(np.asarray(self.devices), ("cases",)), PartitionSpec(), PartitionSpec("cases")
 
-        def own(arrays: tuple, loads: Fields) -> Solution:
+        def own(arrays: tuple, cases: tuple) -> Solution:
             solver, stiffness = eqx.combine(arrays, rest)
-            return solver.held(stiffness, loads)
+            return solver.held(stiffness, *cases)
 
         # Loops carry constants that are the same on every device without saying so, hence no check of what varies among them.
-        solution = jax.shard_map(own, mesh=mesh, in_specs=(everywhere, dealt), out_specs=dealt, check_vma=False)(arrays, padded)
+        solution = jax.shard_map(own, mesh=mesh, in_specs=(everywhere, dealt), out_specs=dealt, check_vma=False)(arrays, cases)
         return jax.tree.map(lambda part: part[:count], solution)
 
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
-        return by_columns(self, stiffness, columns)
+        return _by_columns(self, self.one.last, stiffness, columns)
+
+
+def _filled_up(loads: Fields, count: int) -> Float[Array, "more nodes 3"]:
+    return jnp.concatenate([loads, jnp.zeros((count, *loads.shape[1:]))])
 
 
 def _checked(displacement: np.ndarray, residual: float) -> Solution:
