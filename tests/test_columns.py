@@ -141,12 +141,12 @@ def test_practice_sections_load_and_mesh(case: str) -> None:
 
 def skin(solid: LayeredSolid, rings: int = 12, turns: int = 24) -> tuple[np.ndarray, np.ndarray]:
     """A structured skin, so that columns are tested without the mesher of surfaces."""
-    from fingerjax.mesh.surface import _grid_triangles
+    from fingerjax.mesh.surface import grid_triangles
 
     z = solid.length * (1.0 - np.linspace(1.0, 0.0, rings) ** 1.5)[:-1]
     points = solid.surface(z[:, None], 2 * np.pi * np.arange(turns)[None, :] / turns).reshape(-1, 3)
     tip = np.array([*solid.centre(np.array([solid.length]))[0], solid.length])
-    triangles = _grid_triangles(len(z), turns)
+    triangles = grid_triangles(len(z), turns)
     triangles = triangles[~(triangles == len(points)).any(axis=1)]
     return np.vstack([points, tip]), np.where(triangles == len(points) + 1, len(points), triangles)
 

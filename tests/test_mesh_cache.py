@@ -152,7 +152,7 @@ def test_viewers_get_ten_node_elements_with_their_layers(tmp_path: Path) -> None
     read = meshio.read(tmp_path / "block.vtu")
     np.testing.assert_allclose(read.points, body.nodes)
     np.testing.assert_array_equal(read.cells_dict["tetra10"], body.tets)
-    np.testing.assert_array_equal(read.cell_data["layer"][0], body.layer)
+    np.testing.assert_array_equal(read.cell_data["layer"][0], body.layer + 1)
     np.testing.assert_array_equal(read.point_data["bone"], body.bone)
     np.testing.assert_allclose(read.point_data["height"], body.nodes[:, 1])
     with pytest.raises(InputError, match="neither per node nor per element"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import meshio
 import numpy as np
 import typer
 from matplotlib.axes import Axes
@@ -16,6 +15,7 @@ from matplotlib.patches import Patch as Swatch
 from fingerjax.commands._ending import console, told
 from fingerjax.errors import InputError
 from fingerjax.layers import LAYERS
+from fingerjax.mesh.files import export_vtu
 from fingerjax.report.records import mesh_record
 from fingerjax.report.words import mesh_sentence
 from fingerjax.spelling import choose_from
@@ -45,30 +45,16 @@ def mesh(
         finger = finger_of(studies[study])
         console().print(mesh_sentence(finger.name, mesh_record(finger)), highlight=False, markup=False)
         if out is not None:
-            write_mesh(out, finger)
+            export_vtu(finger, out)
         if picture is not None:
             draw_cuts(picture, finger)
 
 
 def finger_of(study: Study) -> Any:
     """The `Finger` of a study, meshed or from the cache."""
-    from fingerjax.forward.model import solid_of
-    from fingerjax.mesh import Resolution, build_finger
+    from fingerjax.forward.shape import mesh_of, solid_of
 
-    said = study.finger
-    return build_finger(solid_of(study), Resolution(pad=said.resolution.pad_mm, proximal=said.resolution.proximal_mm))
-
-
-def write_mesh(path: Path, finger: Any) -> None:
-    """Nodes, quadratic tetrahedra, layers (1 epidermis to 5 bone) and the held nodes, in any format of
-    meshio.
-    """
-    meshio.Mesh(
-        finger.nodes,
-        [("tetra10", finger.tets)],
-        point_data={name: getattr(finger, name).astype(np.int8) for name in ("nail", "bone", "proximal")},
-        cell_data={"layer": [(finger.layer + 1).astype(np.int8)]},
-    ).write(path)
+    return mesh_of(study, solid_of(study))
 
 
 def draw_cuts(path: Path, finger: Any) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -31,11 +32,12 @@ class Rays:
     """The map X(P, t) of one solid.
 
     `thinnest`: a layer thinner than this along a ray, mm, is made this thick at the expense of the ones
-    inside it.
+    inside it. `factors` multiply the thickness of epidermis, dermis and fibrous matrix; adipose tissue gives way.
     """
 
     solid: LayeredSolid
     thinnest: float = 0.03
+    factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @cached_property
     def bone_reach(self) -> float:
@@ -93,7 +95,7 @@ class Rays:
             found = _bisect(within, met[:, layer - 1], np.ones(len(feet)))
             met[:, layer] = np.maximum(found, met[:, layer - 1] + least)
             moved += int(np.sum(met[:, layer] > found + 1e-9))
-        return met, moved
+        return (met, moved) if self.factors == (1.0, 1.0, 1.0) else (np.stack(thickened(met.T, self.factors), axis=1), moved)
 
     def position(self, feet: np.ndarray, t: np.ndarray) -> np.ndarray:
         """X(P, t), `(k, 3)` mm, for feet `(k, 3)` on the skin and depths t `(k,)` from 0 to 4."""
@@ -102,6 +104,16 @@ class Rays:
         row = np.arange(len(feet))
         share = met[row, below] + (t - below) * (met[row, below + 1] - met[row, below])
         return feet + share[:, None] * (self.axis(self.aim(feet[:, 2])) - feet)
+
+
+def thickened(met: Any, factors: Any) -> list[Any]:
+    """Shares of a ray, `(5, k)`, at which interfaces are met once epidermis, dermis and fibrous matrix are `factors` times as thick.
+
+    Skin and bone stay where they are; NumPy's or JAX's arrays.
+    """
+    skin, epidermis, dermis, adipose, bone = met
+    first = skin + factors[0] * (epidermis - skin)
+    return [skin, first, first + factors[1] * (dermis - epidermis), bone - factors[2] * (bone - adipose), bone]
 
 
 def _bisect(beyond: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -152,9 +164,13 @@ class Columns:
 
 
 def columns(
-    solid: LayeredSolid, points: np.ndarray, triangles: np.ndarray, thinnest: float = 0.03
+    solid: LayeredSolid,
+    points: np.ndarray,
+    triangles: np.ndarray,
+    thinnest: float = 0.03,
+    through: int = 1,
 ) -> Columns:
-    """Tetrahedra under the skin triangles: one element through each soft layer, and the bone.
+    """Tetrahedra under the skin triangles: `through` elements through each soft layer, and the bone.
 
     `points`, `(n, 3)`, are put on the true surface; `triangles`, `(f, 3)`, point outwards. Raises
     `InputError` where an element has no volume, which a solid that is not star-shaped about its axis can
@@ -165,24 +181,27 @@ def columns(
     n = len(feet)
     met, moved = rays.depths(feet)
     reach = rays.axis(rays.aim(feet[:, 2])) - feet
-    shells = feet[None] + met.T[:, :, None] * reach[None]
-    stations, station_of = _stations(rays, shells[BONE], triangles)
+    depth = np.arange(BONE * through + 1) / through
+    below = np.minimum(depth.astype(int), BONE - 1)
+    share = met[:, below] + (depth - below) * (met[:, below + 1] - met[:, below])
+    shells = feet[None] + share.T[:, :, None] * reach[None]
+    stations, station_of = _stations(rays, shells[-1], triangles)
     vertices = np.concatenate([shells.reshape(-1, 3), rays.axis(stations)])
     tets, layer = [], []
-    for shell in range(BONE):
+    for shell in range(BONE * through):
         upper, lower = triangles + shell * n, triangles + (shell + 1) * n
         tets.append(prism_tets(upper, lower, rank=_diagonals(vertices, upper, lower)))
-        layer.append(np.full(len(tets[-1]), shell))
-    core = _core(triangles + BONE * n, (BONE + 1) * n + station_of[triangles])
+        layer.append(np.full(len(tets[-1]), shell // through))
+    core = _core(triangles + BONE * through * n, len(depth) * n + station_of[triangles])
     tets.append(core)
     layer.append(np.full(len(core), BONE))
     elements = oriented(vertices, np.concatenate(tets))
-    t = np.concatenate([np.repeat(np.arange(BONE + 1.0), n), np.full(len(stations), INSIDE)])
+    t = np.concatenate([np.repeat(depth, n), np.full(len(stations), INSIDE)])
     kinds = np.concatenate(layer).astype(np.int64)
     return _without_slivers(
         Columns(
             rays=rays,
-            feet=np.concatenate([np.tile(feet, (BONE + 1, 1)), rays.axis(stations)]),
+            feet=np.concatenate([np.tile(feet, (len(depth), 1)), rays.axis(stations)]),
             t=t,
             vertices=vertices,
             tets=elements,

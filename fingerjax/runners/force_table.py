@@ -15,6 +15,7 @@ import numpy as np
 from .._results import RESULTS
 from ..finger import Finger
 from ..forward import assemble
+from ..forward.shape import solid_of
 from ..indenter_spec import IndenterSpec
 from ..measurements import Measurement
 from ..report import figures
@@ -35,7 +36,8 @@ def force_table(study: Study, context: Context) -> StudyResult:
     assert isinstance(table, ForceTable)
     fingers, forces, why = _pressed_all(study, table, context)
     title, verdict = study.notes.split(". ")[0] or "Moduli from forces", f"Not converged: {why.value} No modulus is reported."
-    begun = StudyResult(study.name, title, verdict, RESULTS.not_converged, warnings=[why.value], notes=[study.notes])
+    notes = [study.notes, *solid_of(study).notes]
+    begun = StudyResult(study.name, title, verdict, RESULTS.not_converged, warnings=[why.value], notes=notes)
     begun = dataclasses.replace(begun, meshes={f"{one.name}, {name}": mesh_record(one) for name, one in fingers.items()})
     if why is not RESULTS.successful:
         return begun
@@ -55,8 +57,9 @@ def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dic
     forces: dict[str, np.ndarray] = {}
     wanted, until = measurements_of(table), DRIVERS_FROM if table.drivers else 0.98
     for number, one in enumerate(wanted):
-        context.tell(0.02 + (until - 0.02) * number / len(wanted), one.name)
-        assembled = assemble(dataclasses.replace(study, measurements=(one,)))
+        begun = 0.02 + (until - 0.02) * number / len(wanted)
+        context.tell(begun, one.name)
+        assembled = assemble(dataclasses.replace(study, measurements=(one,)), tell=lambda _, what, begun=begun: context.tell(begun, what))
         fingers[one.name], prediction = assembled.finger, assembled.predict()
         why = complaint(prediction)
         if why is not RESULTS.successful:
