@@ -39,7 +39,7 @@ def error(outline: Outline, degrees: tuple[float, float]) -> np.ndarray:
     """Radius of the outline less that of the replica, mm, about the replica's own centre, over a range of angles."""
     solid = preset("monkey")
     theta = np.radians(np.arange(*degrees, 2.0))
-    centre = solid.centre(outline.z) + [COARSE.eccentric, 0.0]
+    centre = solid.centre(outline.z) + np.array([COARSE.eccentric, 0.0])
     true = solid.radius(0, outline.z[:, None], theta[None, :])
     return outline.radii(centre, theta) - true
 

@@ -90,13 +90,13 @@ def _envelope(solid: LayeredSolid, resolution: Resolution) -> float:
 def layer_surface(solid: LayeredSolid, layer: int, spacing: float) -> tuple[np.ndarray, np.ndarray] | None:
     """The closed surface of everything from a layer inwards, with its cap at z = 0; None where the layer is nowhere."""
     z = np.linspace(0.0, solid.length, 1601)
-    turns = max(48, int(np.ceil(2 * np.pi * solid.largest_radius / spacing)))
+    turns = max(32, int(np.ceil(2 * np.pi * solid.largest_radius / spacing)))
     theta = 2 * np.pi * np.arange(turns) / turns
     there = solid.radius(layer, z[:, None], theta[None, ::4]).min(axis=1) > 0
     if not there[0]:
         return None
     end = float(z[np.flatnonzero(~there)[0]]) if (~there).any() else solid.length
-    rings = max(24, int(np.ceil(end / spacing)))
+    rings = max(16, int(np.ceil(end / spacing)))
     u = np.linspace(0.0, 1.0, rings + 1)
     z = (end * (1.0 - (1.0 - u) ** 1.5))[:-1]
     side = solid.surface(z[:, None], theta[None, :], layer)
