@@ -67,18 +67,19 @@ def build_like(solid: LayeredSolid, model: LayeredSolid, resolution: Resolution 
     return finger_of(kept(key, lambda: arrays_of(_carried(solid, model, resolution, key))))
 
 
-def ladder(solid: LayeredSolid, step: int, resolution: Resolution = DEFAULT, repeat: int = 0) -> Finger:
+def ladder(solid: LayeredSolid, step: int, resolution: Resolution = DEFAULT, focus: tuple[Focus, ...] = ()) -> Finger:
     """The column mesh of a solid with all its edges `step` times as short, along the skin and through the layers, for convergence.
 
     Steps 1, 2, 3 have 1, 8 and 27 times as many elements; each triangle of the skin is cut into `step**2` and each layer into `step`.
+    It is then refined under each `focus`, whose size is the caller's to shrink.
     """
-    base = content_key(MESHER, solid.digest, resolution, *((f"repeat {repeat}",) if repeat else ()))
-    key = content_key(base, solid.name, f"step {step}") if step > 1 else content_key(base, solid.name)
+    base = content_key(MESHER, solid.digest, resolution)
+    key = content_key(base, solid.name, *focus, *((f"step {step}",) if step > 1 else ()))
 
     def build() -> Finger:
         started, stored = time.perf_counter(), _skin(solid, resolution, base)
         points, triangles = divided(stored["points"], stored["triangles"], step)
-        return finger_from_columns(columns(solid, points, triangles, through=step), key, started)
+        return finger_from_columns(refine(columns(solid, points, triangles, through=step), focus), key, started)
 
     return finger_of(kept(key, lambda: arrays_of(build())))
 
