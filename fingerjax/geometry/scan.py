@@ -78,7 +78,7 @@ def read_surface(file: Path, unit: str = "mm") -> tuple[np.ndarray, np.ndarray, 
         raise InputError("not a surface format", file=file, seen=file.suffix, remedy=f"write one of {', '.join(SUFFIXES)}")
     try:
         with contextlib.redirect_stderr(io.StringIO()):
-            mesh = trimesh.load(file, force="mesh", process=False)
+            mesh: Any = trimesh.load(file, force="mesh", process=False)
     except Exception as error:  # whatever a reader raises on a damaged file, it cannot be read
         raise InputError(f"cannot be read as a surface ({error})", file=file, remedy="write STL, OBJ or PLY") from None
     if len(getattr(mesh, "faces", ())) < 100:

@@ -37,7 +37,7 @@ def draw_mesh(path: Path, finger: Any) -> None:
 def _shapes(axes: Axes, finger: Any) -> None:
     """How many elements have which smallest dihedral angle, and which radius ratio."""
     corners = finger.tets[:, :4]
-    axes.hist(dihedral_angles(finger.nodes, corners).min(axis=1), bins=np.arange(0.0, 72.0, 2.0), color=TINTS[1], alpha=0.8)
+    axes.hist(dihedral_angles(finger.nodes, corners).min(axis=1), bins=np.arange(0.0, 72.0, 2.0).tolist(), color=TINTS[1], alpha=0.8)
     axes.set(xlabel="smallest dihedral angle, deg (filled)", ylabel="elements")
     ratio = axes.twiny()
     ratio.hist(radius_ratios(finger.nodes, corners), bins=np.linspace(0.0, 1.0, 36).tolist(), histtype="step", color="#5A4A78")
@@ -50,7 +50,7 @@ def outside_view(finger: Any) -> np.ndarray | None:
 
     try:
         pyvista.vtk_verbosity("off")  # it complains of a missing screen that is not needed
-        plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=(900, 600), border=False)
+        plotter: Any = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[900, 600], border=False)
         for column, elevation in enumerate((-25.0, 25.0)):
             plotter.subplot(0, column)
             plotter.add_mesh(_skin_of(finger), scalars="edge, mm", cmap="viridis_r", show_edges=True, edge_color="#55555588")

@@ -9,6 +9,7 @@ modulus, so each row is answered in one reading of the model, and no start value
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 
@@ -45,6 +46,11 @@ def force_table(study: Study, context: Context) -> StudyResult:
     return _driven(result, study, table, context) if table.drivers else result
 
 
+def _at(context: Context, begun: float, _: float, what: str) -> None:
+    """Progress on the images of a finger, told where the bar stands."""
+    context.tell(begun, what)
+
+
 def _driven(result: StudyResult, study: Study, table: ForceTable, context: Context) -> StudyResult:
     """The result with the table of what drives its moduli, and what that table says."""
     driving, told = drivers(study, table, context.within(DRIVERS_FROM, 0.98).tell)
@@ -59,7 +65,7 @@ def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dic
     for number, one in enumerate(wanted):
         begun = 0.02 + (until - 0.02) * number / len(wanted)
         context.tell(begun, one.name)
-        assembled = assemble(dataclasses.replace(study, measurements=(one,)), tell=lambda _, what, begun=begun: context.tell(begun, what))
+        assembled = assemble(dataclasses.replace(study, measurements=(one,)), tell=partial(_at, context, begun))
         fingers[one.name], prediction = assembled.finger, assembled.predict()
         why = complaint(prediction)
         if why is not RESULTS.successful:
