@@ -13,13 +13,14 @@ import numpy as np
 
 from .csvfile import inline_table, read_table, same
 from .errors import InputError
+from .finger_keys import Finger
 from .geometry.views import NAME as VIEWS
 from .indenter_spec import IndenterSpec, read_indenter
 from .measurements import Measurement, Receptor, read_measurement, receptor_from
 from .parameters import Parameter
 from .spelling import choose_from
 from .strict import checked
-from .study_keys import DiagnoseKeys, Finger, FitKeys, LayerStudyKeys, StudyKeys, TableKeys
+from .study_keys import DiagnoseKeys, FitKeys, LayerStudyKeys, StudyKeys, TableKeys
 from .study_records import (
     Diagnose,
     Fit,

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..finger import Finger
+from ..finger_keys import LayerKeys
 from ..geometry.layers import LayerPlan, layered
 from ..geometry.outline import Outline
 from ..geometry.presets import preset
@@ -23,7 +24,6 @@ from ..mesh import Focus, Resolution, build_finger
 from ..mesh.cache import Arrays, content_key, kept
 from ..mesh.imported import read_mesh
 from ..study import Study
-from ..study_keys import LayerKeys
 
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
 Tell = Callable[[float, str], object]
