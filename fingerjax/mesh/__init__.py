@@ -19,20 +19,21 @@ from fingerjax.geometry.sections import LayeredSolid
 from fingerjax.layers import BONE
 from fingerjax.mesh.cache import Arrays, cache_dir, content_key, kept
 from fingerjax.mesh.columns import Columns, Rays, columns
+from fingerjax.mesh.contour import nail_nodes
 from fingerjax.mesh.files import arrays_of, checksum, finger_of
 from fingerjax.mesh.jacobian import relaxed
 from fingerjax.mesh.nested import nested
 from fingerjax.mesh.quality import figures
 from fingerjax.mesh.refine import Focus, refine
-from fingerjax.mesh.smooth import smoothed
+from fingerjax.mesh.smooth import outlined, smoothed
 from fingerjax.mesh.surface import Resolution, skin_triangles
 from fingerjax.mesh.topology import divided, edges, quadratic, quadratic_triangles
 
 __all__ = ["PAPER", "Focus", "Resolution", "build_finger", "build_like", "cache_dir", "ladder"]
 
 DEFAULT = Resolution()
-MESHER = "columns 1"  # part of every key: raise it when the same input would give another mesh
-NESTED = "nested 1"
+MESHER = "columns 2"  # part of every key: raise it when the same input would give another mesh
+NESTED = "nested 2"
 PAPER = {"monkey": Resolution(), "monkey fine": Resolution(0.17, 1.0), "human": Resolution(0.9)}  # about 8,500, 29,000 and 8,500 nodes
 
 
@@ -89,14 +90,17 @@ def _carried(solid: LayeredSolid, model: LayeredSolid, resolution: Resolution, k
     stored = _skin(model, resolution, content_key(MESHER, model.digest, resolution))
     z = stored["points"][:, 2] * solid.length / model.length
     points = solid.surface(z, model.angle(stored["points"]))
-    return finger_from_columns(columns(solid, points, stored["triangles"]), key, started)
+    same = solid.nail.theta == model.nail.theta
+    same &= np.allclose(np.array(solid.nail.z) / solid.length, np.array(model.nail.z) / model.length)
+    return finger_from_columns(columns(solid, points, stored["triangles"]), key, started, followed=bool(same))
 
 
 def _skin(solid: LayeredSolid, resolution: Resolution, base: str) -> Arrays:
     """The triangulated skin of a solid, kept."""
 
     def skin() -> Arrays:
-        points, triangles = smoothed(Rays(solid), *skin_triangles(solid, resolution))
+        rays = Rays(solid)
+        points, triangles = outlined(rays, *smoothed(rays, *skin_triangles(solid, resolution)))
         return {"points": points, "triangles": triangles}
 
     return kept(f"{base}-skin", skin)
@@ -111,8 +115,11 @@ def _built(
     return finger_from_columns(mesh, key, started)
 
 
-def finger_from_columns(mesh: Columns, key: str, started: float | None = None) -> Finger:
-    """A finger from a column mesh: midsides on the true interfaces, nail, bone and cut marked."""
+def finger_from_columns(mesh: Columns, key: str, started: float | None = None, followed: bool = True) -> Finger:
+    """A finger from a column mesh: midsides on the true interfaces, nail, bone and cut marked.
+
+    `followed`: the triangles of the skin end at the nail's rim.
+    """
     solid, count = mesh.rays.solid, len(mesh.vertices)
     pairs, _ = edges(mesh.tets, count)
     _, t, middle = mesh.midpoints(pairs)
@@ -120,8 +127,6 @@ def finger_from_columns(mesh: Columns, key: str, started: float | None = None) -
     nodes, straightened = relaxed(nodes, tets, count)
     depth = np.concatenate([mesh.t, t])
     skin = quadratic_triangles(mesh.skin, pairs, count)
-    on_skin = np.zeros(len(nodes), bool)
-    on_skin[skin] = True
     quality = figures(nodes, tets, mesh.layer, solid)
     quality |= {
         **mesh.notes,
@@ -136,7 +141,7 @@ def finger_from_columns(mesh: Columns, key: str, started: float | None = None) -
         tets=tets.astype(np.int64),
         layer=mesh.layer,
         skin=skin.astype(np.int64),
-        nail=on_skin & solid.nail.covers(nodes[:, 2], solid.angle(nodes)),
+        nail=nail_nodes(solid, nodes, skin, followed),
         bone=depth >= BONE,
         proximal=np.abs(nodes[:, 2]) < 1e-9 * solid.length,
         key=key,

@@ -24,6 +24,7 @@ from fingerjax.mesh.quality import dihedral_angles
 from fingerjax.mesh.topology import oriented, prism_tets, signed_volumes
 
 INSIDE = 5.0  # depth t of points inside the bone, which have no foot
+FLAT = 1e-4  # volume of an element of the bone over the cube of its size, below which other diagonals are tried
 HALVINGS = 42  # 10 mm / 2^42 is at rounding
 
 
@@ -192,7 +193,7 @@ def columns(
         upper, lower = triangles + shell * n, triangles + (shell + 1) * n
         tets.append(prism_tets(upper, lower, rank=_diagonals(vertices, upper, lower)))
         layer.append(np.full(len(tets[-1]), shell // through))
-    core = _core(triangles + BONE * through * n, len(depth) * n + station_of[triangles])
+    core = _core(vertices, triangles + BONE * through * n, len(depth) * n + station_of[triangles])
     tets.append(core)
     layer.append(np.full(len(core), BONE))
     elements = oriented(vertices, np.concatenate(tets))
@@ -222,18 +223,34 @@ def _diagonals(vertices: np.ndarray, upper: np.ndarray, lower: np.ndarray, sweep
     first = int(upper.min())
     column, count = upper - first, int(upper.max()) - first + 1
     rank = np.arange(count, dtype=float)
-    around: list[list[int]] = [[] for _ in range(count)]
-    for prism, corners in enumerate(column):
-        for corner in corners:
-            around[corner].append(prism)
 
     def worst(prisms: np.ndarray | list[int]) -> np.ndarray:
         tets = prism_tets(upper[prisms], lower[prisms], rank=rank[column[prisms]])
         return dihedral_angles(vertices, tets).min(axis=1).reshape(-1, 3).min(axis=1)
 
+    def suspects() -> np.ndarray:
+        angle = worst(np.arange(len(upper)))
+        return np.argsort(angle)[: max(10, len(angle) // 20)]
+
+    _reranked(rank, column, worst, suspects, sweeps)
+    return rank[column]
+
+
+def _reranked(
+    rank: np.ndarray,
+    column: np.ndarray,
+    worst: Callable[[Any], np.ndarray],
+    suspects: Callable[[], np.ndarray],
+    sweeps: int,
+) -> None:
+    """Columns of the suspect prisms tried first and last in rank, in place, kept there when what is `worst` around them grows."""
+    around: list[list[int]] = [[] for _ in range(len(rank))]
+    for prism, corners in enumerate(column):
+        for corner in corners:
+            around[corner].append(prism)
     for _ in range(sweeps):
-        angle, changed = worst(np.arange(len(upper))), False
-        for prism in np.argsort(angle)[: max(10, len(angle) // 20)]:
+        changed = False
+        for prism in suspects():
             for i in column[prism]:
                 before, old = worst(around[i]).min(), rank[i]
                 for new in (rank.min() - 1.0, rank.max() + 1.0):
@@ -244,17 +261,31 @@ def _diagonals(vertices: np.ndarray, upper: np.ndarray, lower: np.ndarray, sweep
                     rank[i] = old
         if not changed:
             break
-    return rank[column]
 
 
-def _core(bone: np.ndarray, axis: np.ndarray) -> np.ndarray:
+def _core(vertices: np.ndarray, bone: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Tetrahedra between triangles of the bone's surface and the axis points they share; prisms that collapse
     lose some.
 
     Diagonals rise from the more proximal axis point's column: by vertex number alone, a column between two of
-    another slab could give one tetrahedron twice.
+    another slab could give one tetrahedron twice. An edge along the bone, as the nail's rim brings about, would then give
+    flat ones, which lie in one plane with the axis: there other diagonals are taken.
     """
-    tets = prism_tets(bone, axis, rank=axis * (np.int64(bone.max()) + 1) + bone)
+    first, count = int(bone.min()), int(bone.max() - bone.min()) + 1
+    column = bone - first
+    station = np.zeros(count, np.int64)
+    station[column] = axis
+    rank = np.argsort(np.argsort(station * np.int64(count) + np.arange(count))).astype(float)
+
+    def worst(prisms: Any) -> np.ndarray:
+        tets = prism_tets(bone[prisms], axis[prisms], rank=rank[column[prisms]])
+        size = np.ptp(vertices[tets], axis=1).max(axis=1) ** 3
+        whole = (np.diff(np.sort(tets, axis=1), axis=1) > 0).all(axis=1)
+        thick = np.where(whole, np.abs(signed_volumes(vertices, tets)) / np.maximum(size, 1e-300), np.inf)
+        return thick.reshape(-1, 3).min(axis=1)
+
+    _reranked(rank, column, worst, lambda: np.flatnonzero(worst(np.arange(len(bone))) < FLAT), 6)
+    tets = prism_tets(bone, axis, rank=rank[column])
     return tets[(np.diff(np.sort(tets, axis=1), axis=1) > 0).all(axis=1)]
 
 

@@ -20,6 +20,7 @@ from fingerjax.geometry.outline import last_met
 from fingerjax.geometry.scan import SCALES, cut_at
 from fingerjax.geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
 from fingerjax.layers import BONE, LAYERS
+from fingerjax.mesh.contour import nail_nodes
 from fingerjax.mesh.files import checksum
 from fingerjax.mesh.quality import figures
 from fingerjax.mesh.topology import boundary, edges, quadratic, quadratic_triangles, signed_volumes
@@ -47,9 +48,7 @@ def read_mesh(file: Path, nail: Patch | None = None, unit: str = "mm", name: str
     bone = _bone(tets, layer, marks.get("bone"), len(nodes), used)
     skin = _skin(tets, proximal, bone, len(nodes))
     solid = _solid(nodes, tets, layer, proximal, bone, nail, name)
-    on_skin = np.zeros(len(nodes), bool)
-    on_skin[skin] = True
-    held = _nail(nodes, tets, on_skin, solid, nail, marks.get("nail"), used, file)
+    held = _nail(nodes, tets, skin, solid, nail, marks.get("nail"), used, file)
     quality = figures(nodes, tets, layer, solid) | {"mesh_hash": checksum({"n": nodes, "t": tets})[:20]}
     finger = Finger(name, nodes, tets, layer, skin, held, bone, proximal, key=quality["mesh_hash"], quality=quality)
     return finger, solid
@@ -193,7 +192,7 @@ def _centres(nodes: np.ndarray, surfaces: list[np.ndarray], z: np.ndarray, lengt
 def _nail(
     nodes: np.ndarray,
     tets: np.ndarray,
-    on_skin: np.ndarray,
+    skin: np.ndarray,
     solid: LayeredSolid,
     nail: Patch | None,
     marked: np.ndarray | None,
@@ -202,9 +201,9 @@ def _nail(
 ) -> np.ndarray:
     held = None
     if nail is not None:
-        held = on_skin & nail.covers(nodes[:, 2], solid.angle(nodes))
+        held = nail_nodes(solid, nodes, skin)
     elif marked is not None:
-        held = on_skin & _carried(marked, tets, used)
+        held = np.isin(np.arange(len(nodes)), skin) & _carried(marked, tets, used)
     if held is None or not held.any():
         remedy = "write nail: {z_mm: ..., theta_deg: ...}, or point data named nail"
         raise InputError("no node is nail", file=file, place="nail", remedy=remedy)

@@ -26,6 +26,7 @@ from fingerjax.errors import InputError
 from fingerjax.finger import Finger
 from fingerjax.geometry.sections import LayeredSolid
 from fingerjax.layers import BONE, LAYERS
+from fingerjax.mesh.contour import nail_nodes
 from fingerjax.mesh.files import checksum
 from fingerjax.mesh.jacobian import relaxed
 from fingerjax.mesh.quality import figures
@@ -49,8 +50,6 @@ def nested(solid: LayeredSolid, resolution: Resolution, focus: tuple[Focus, ...]
     nodes, bent = _bent(solid, straight, tets, layer, pairs, len(vertices))
     nodes, straightened = relaxed(nodes, elements, len(vertices))
     skin = quadratic_triangles(_outer(tets, vertices), pairs, len(vertices))
-    on_skin = np.zeros(len(nodes), bool)
-    on_skin[skin] = True
     bone = np.zeros(len(nodes), bool)
     bone[elements[layer == BONE]] = True
     quality = figures(nodes, elements, layer, solid) | {
@@ -68,7 +67,7 @@ def nested(solid: LayeredSolid, resolution: Resolution, focus: tuple[Focus, ...]
         tets=elements.astype(np.int64),
         layer=layer,
         skin=skin.astype(np.int64),
-        nail=on_skin & solid.nail.covers(nodes[:, 2], solid.angle(nodes)),
+        nail=nail_nodes(solid, nodes, skin),
         bone=bone,
         proximal=nodes[:, 2] == 0.0,
         key=key,
