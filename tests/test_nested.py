@@ -51,7 +51,7 @@ def test_nested_shells_mesh_within_the_bars() -> None:
 
 
 def test_tags_of_nested_shells() -> None:
-    solid, finger = half_ellipsoids()
+    _, finger = half_ellipsoids()
     np.testing.assert_array_equal(np.flatnonzero(finger.bone), np.unique(finger.tets[finger.layer == BONE]))
     assert finger.nail.sum() > 5 and np.isin(np.flatnonzero(finger.nail), finger.skin).all()
     assert finger.nodes[finger.proximal, 2].max() == 0.0
