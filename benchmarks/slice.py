@@ -30,6 +30,7 @@ from fingerjax.fem.columns import Columns, columns_from_matrix
 from fingerjax.fem.operator import internal_force
 from fingerjax.fem.solver import AbstractSolver, direct_available, solver_for
 from fingerjax.finger import Finger
+from fingerjax.finger_keys import MeshResolution
 from fingerjax.forward import assemble
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh.bodies import block
@@ -38,7 +39,6 @@ from fingerjax.runners import RUNNERS
 from fingerjax.runners.drivers import plate_at
 from fingerjax.runners.force_table import PAPER_PLATE_OVER_POINT, PAPER_POINT_SLOPE, crossing
 from fingerjax.study import Fit, ForceTable, Study, load_studies
-from fingerjax.study_keys import MeshResolution
 
 ROOT = Path(__file__).resolve().parent.parent
 EXPERIMENTS = ROOT / "experiments.yaml"

@@ -10,13 +10,13 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from .errors import InputError
+from .finger_keys import Finger
 from .layers import LAYERS, SOFT_LAYERS
 from .measurements import ReceptorKeys, SidecarKeys
 from .spelling import choose_from
-from .strict import Number, Positive, Strict
-from .units import read_quantity, to_internal
+from .strict import Positive, Strict
+from .units import read_quantity
 
-PRESETS = ("monkey", "human")
 EPIDERMIS = 0.18
 """MPa: the human mean of Dandekar et al. (2003), Table 1, for a ratio model that says nothing of its
 scale.
@@ -42,67 +42,6 @@ def ratio_moduli(name: str, epidermis: float) -> dict[str, float]:
     """Moduli (unit of `epidermis`) of all five layers in the ratios of a model such as `m43338`."""
     decades = ratio_decades(name)
     return {layer: epidermis * 10.0 ** (decade - decades["epidermis"]) for layer, decade in decades.items()}
-
-
-class Nail(Strict):
-    """The patch of the outer surface that is held: ranges of `z_mm` and `theta_deg`, lower end first."""
-
-    z_mm: tuple[Number, Number]
-    theta_deg: tuple[Number, Number]
-
-    @field_validator("z_mm", "theta_deg")
-    @classmethod
-    def _rises(cls, ends: tuple[float, float]) -> tuple[float, float]:
-        if not ends[0] < ends[1]:
-            raise InputError("the range does not rise", seen=ends, remedy="write the lower end first")
-        return ends
-
-    @property
-    def z(self) -> tuple[float, float]:
-        """mm"""
-        return self.z_mm
-
-    @property
-    def theta(self) -> tuple[float, float]:
-        """rad"""
-        low, high = to_internal(self.theta_deg, "deg", "angle").tolist()
-        return low, high
-
-
-class MeshResolution(Strict):
-    """Node spacing in mm: on the pad, and at the proximal cut."""
-
-    pad_mm: Positive = 0.5
-    proximal_mm: Positive = 2.0
-
-
-class Finger(Strict):
-    """The geometry: exactly one of `preset`, `sections`, `images`, `scan`."""
-
-    preset: str | None = None
-    sections: str | None = None
-    images: Any = None
-    scan: Any = None
-    nail: Nail | None = None
-    resolution: MeshResolution = MeshResolution()
-
-    @model_validator(mode="after")
-    def _one_door(self) -> Finger:
-        doors = ("preset", "sections", "images", "scan")
-        said = [door for door in doors if getattr(self, door) is not None]
-        if len(said) != 1:
-            remedy = f"write exactly one of {', '.join(doors)}"
-            raise InputError("the finger needs one geometry", seen=said, remedy=remedy)
-        if said[0] in ("images", "scan"):
-            problem = f"this version cannot read a finger from {said[0]}: that door is not open yet"
-            raise InputError(problem, place=said[0], remedy="write sections: sections.csv, or a preset")
-        if self.preset is not None and self.preset not in PRESETS:
-            remedy = choose_from(self.preset, PRESETS)
-            raise InputError("unknown preset", place="preset", seen=self.preset, remedy=remedy)
-        if self.sections is not None and self.nail is None:
-            remedy = "write nail: {z_mm: [9.0, 15.0], theta_deg: [50, 130]}"
-            raise InputError("nothing holds the finger: the nail is not said", remedy=remedy)
-        return self
 
 
 class Model(Strict):

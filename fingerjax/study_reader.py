@@ -13,6 +13,8 @@ import numpy as np
 
 from .csvfile import inline_table, read_table, same
 from .errors import InputError
+from .finger_keys import Finger
+from .geometry.views import NAME as VIEWS
 from .indenter_spec import IndenterSpec, read_indenter
 from .measurements import Measurement, Receptor, read_measurement, receptor_from
 from .parameters import Parameter
@@ -61,6 +63,8 @@ class StudyReader:
             file=self.file,
             finger=keys.finger,
             sections=sections,
+            shape=self._shape(keys.finger),
+            bone=self._bone(keys.finger),
             model=keys.model,
             receptor=receptor,
             measurements=measurements,
@@ -72,6 +76,20 @@ class StudyReader:
             notes=keys.notes,
             written=dict(said),
         )
+
+    def _shape(self, finger: Finger) -> Path | None:
+        """The file of images, scan or mesh; of a folder of images, the YAML file in it."""
+        if finger.images is not None:
+            inside = finger.images.rstrip("/") + f"/{VIEWS}"
+            folder = not finger.images.startswith(SHARED) and (self.file.parent / finger.images).is_dir()
+            return self._path(inside if folder else finger.images, "finger", "images")
+        if finger.scan is not None:
+            return self._path(finger.scan.file, "finger", "scan")
+        return self._path(finger.mesh.file, "finger", "mesh") if finger.mesh is not None else None
+
+    def _bone(self, finger: Finger) -> Path | None:
+        said = finger.layers.bone.sections if finger.layers is not None else None
+        return self._path(said, "finger", "layers", "bone", "sections") if said is not None else None
 
     def _path(self, text: str, *keys: str | int) -> Path | None:
         """The file meant by a path in the study, or None (and noted) where it should be in the data folder

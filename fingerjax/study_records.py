@@ -115,8 +115,8 @@ class Study:
     """One study, checked.
 
     - `kind`: `fit`, `table`, `layer_study` or `predict`.
-    - `finger`, `model`: as written, see `study_keys`; `sections` is where the geometry's CSV is, None for a
-      preset.
+    - `finger`, `model`: as written, see `study_keys`; `sections` is where the geometry's CSV is, `shape` the file of its images,
+      scan or mesh, `bone` that of the bone's own sections; None where there is none.
     - `missing_data`: files in the data folder that are not there; while there are any, `fallback` (if not
       None) is the name of the study to run instead, and `measurements` holds only what could be read.
     - `options`: of a `table` or a `layer_study`; None for the other kinds, and where its file is missing.
@@ -136,6 +136,8 @@ class Study:
     missing_data: tuple[str, ...] = ()
     fallback: str | None = None
     notes: str = ""
+    shape: Path | None = None
+    bone: Path | None = None
     written: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def measurement(self, name: str) -> Measurement:

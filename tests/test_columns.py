@@ -19,6 +19,7 @@ from fingerjax.layers import BONE, LAYERS
 from fingerjax.mesh import Resolution, build_finger
 from fingerjax.mesh.bodies import block, sphere_shell
 from fingerjax.mesh.columns import Rays, columns
+from fingerjax.mesh.contour import along_nail, beyond, fairness
 from fingerjax.mesh.jacobian import POINTS, WEIGHTS, determinants, relaxed, volumes
 from fingerjax.mesh.quality import dihedral_angles, figures, radius_ratios, table
 from fingerjax.mesh.topology import boundary, faces, prism_tets, quadratic, signed_volumes
@@ -61,11 +62,45 @@ def check_surfaces(solid: LayeredSolid, finger: Finger) -> None:
     assert np.abs(finger.nodes[finger.proximal, 2]).max() == 0.0
     nail = finger.nodes[finger.nail]
     assert len(nail) > 5 and np.isin(np.flatnonzero(finger.nail), skin).all()
-    assert solid.nail.covers(nail[:, 2], solid.angle(nail)).all()
+    assert beyond(solid, nail).max() < 0.5 * np.linalg.norm(b - a, axis=1).max()
 
 
 def test_a_preset_meshes_within_the_bars() -> None:
     check(*monkey())
+
+
+def area(points: np.ndarray, triangles: np.ndarray) -> float:
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+def nail_area(solid: LayeredSolid) -> float:
+    z, theta = np.linspace(*solid.nail.z, 200)[:, None], np.linspace(*solid.nail.theta, 100)[None]
+    points = solid.surface(z, theta)
+    across, other = points[1:, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, 1:]
+    return float(0.5 * np.linalg.norm(np.cross(across, other), axis=-1).sum())
+
+
+def test_what_is_held_has_the_area_of_the_nail() -> None:
+    solid, finger = monkey()
+    held = finger.skin[finger.nail[finger.skin].all(axis=1)][:, :3]
+    assert area(finger.nodes, held) == pytest.approx(nail_area(solid), rel=0.12)
+    rim = np.abs(beyond(solid, finger.nodes[np.unique(held)])) < 1e-6
+    assert rim.sum() >= 8
+
+
+def test_triangles_are_cut_along_the_nail_and_stay_conforming() -> None:
+    solid = preset("human")
+    points, triangles = skin(solid, 14, 26)
+    more, cut, on = along_nail(solid, points, triangles)
+    assert np.abs(beyond(solid, more[on])).max() < 0.5 and on.sum() > 12
+    sides = np.sort(cut[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, times = np.unique(sides, axis=0, return_counts=True)
+    assert set(times) == {1, 2} and (times == 1).sum() == 26
+    assert area(more, cut) == pytest.approx(area(points, triangles), rel=0.02)
+    assert fairness(more, more, cut).min() > 0.05
+    inside = beyond(solid, more[cut].mean(axis=1)) < 0
+    assert area(more, cut[inside]) == pytest.approx(nail_area(solid), rel=0.06)
 
 
 def check_on_interface(solid: LayeredSolid, finger: Finger, layer: int, nodes: np.ndarray) -> None:
@@ -141,12 +176,12 @@ def test_practice_sections_load_and_mesh(case: str) -> None:
 
 def skin(solid: LayeredSolid, rings: int = 12, turns: int = 24) -> tuple[np.ndarray, np.ndarray]:
     """A structured skin, so that columns are tested without the mesher of surfaces."""
-    from fingerjax.mesh.surface import _grid_triangles
+    from fingerjax.mesh.surface import grid_triangles
 
     z = solid.length * (1.0 - np.linspace(1.0, 0.0, rings) ** 1.5)[:-1]
     points = solid.surface(z[:, None], 2 * np.pi * np.arange(turns)[None, :] / turns).reshape(-1, 3)
     tip = np.array([*solid.centre(np.array([solid.length]))[0], solid.length])
-    triangles = _grid_triangles(len(z), turns)
+    triangles = grid_triangles(len(z), turns)
     triangles = triangles[~(triangles == len(points)).any(axis=1)]
     return np.vstack([points, tip]), np.where(triangles == len(points) + 1, len(points), triangles)
 

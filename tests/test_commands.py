@@ -24,6 +24,7 @@ from fingerjax.study import Study, load_studies
 
 run_module = importlib.import_module("fingerjax.commands.run")
 mesh_module = importlib.import_module("fingerjax.commands.mesh")
+picture_module = importlib.import_module("fingerjax.report.mesh_picture")
 
 STUDIES = """
 version: 1
@@ -246,7 +247,7 @@ def test_a_cut_through_tetrahedra_has_the_area_of_the_body() -> None:
     tets = np.array([(0, a, b, 7) for a, b in paths])
     finger = SimpleNamespace(nodes=corners, tets=tets, layer=np.zeros(6, int))
     for normal in range(3):
-        polygons = mesh_module.cut(finger, normal, 0.3)[0]
+        polygons = picture_module.cut(finger, normal, 0.3)[0]
         area = 0.0
         for polygon in polygons:
             np.testing.assert_allclose(polygon[:, normal], 0.3)

@@ -125,6 +125,35 @@ def test_two_processes_end_with_one_mesh(own_cache: Path) -> None:
     assert kept("race", Builder())["numbers"][0] in seen
 
 
+def _stall(folder: str, begun: object) -> None:
+    import os
+    import time
+
+    os.environ["FINGERJAX_CACHE"] = folder
+
+    def build() -> Arrays:
+        begun.set()  # type: ignore[attr-defined]
+        time.sleep(60.0)
+        return {"numbers": np.zeros(3)}
+
+    kept("stalled", build)
+
+
+def test_a_killed_process_leaves_the_mesh_to_the_next(own_cache: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    begun = context.Event()
+    process = context.Process(target=_stall, args=(str(own_cache), begun))
+    process.start()
+    assert begun.wait(60)
+    process.kill()
+    process.join()
+    build = Builder()
+    assert kept("stalled", build)["numbers"][0] == 1.0 and build.built == 1
+    # Half a file beside its place, as a process killed while writing leaves it, is never read.
+    (own_cache / ".other-x.tmp").write_bytes(b"half")
+    assert kept("other", build)["numbers"][0] == 2.0
+
+
 def test_a_finger_survives_the_disk(tmp_path: Path) -> None:
     body = block(interfaces=(0.5,))
     save(body, tmp_path / "block.npz")
@@ -152,7 +181,7 @@ def test_viewers_get_ten_node_elements_with_their_layers(tmp_path: Path) -> None
     read = meshio.read(tmp_path / "block.vtu")
     np.testing.assert_allclose(read.points, body.nodes)
     np.testing.assert_array_equal(read.cells_dict["tetra10"], body.tets)
-    np.testing.assert_array_equal(read.cell_data["layer"][0], body.layer)
+    np.testing.assert_array_equal(read.cell_data["layer"][0], body.layer + 1)
     np.testing.assert_array_equal(read.point_data["bone"], body.bone)
     np.testing.assert_allclose(read.point_data["height"], body.nodes[:, 1])
     with pytest.raises(InputError, match="neither per node nor per element"):

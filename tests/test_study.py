@@ -267,9 +267,25 @@ REFUSED = {
     "images": (
         "  sections: sections.csv",
         "  images: views",
-        ["finger.images (line 3)", "not open yet", "sections"],
+        ["finger.images (line 3)", "no such file", "'views'"],
     ),
-    "scan": ("  sections: sections.csv", "  scan: finger.stl", ["finger.scan (line 3)", "not open yet"]),
+    "scan": ("  sections: sections.csv", "  scan: finger.stl", ["finger.scan (line 3)", "no such file"]),
+    "scan's unit": (
+        "  sections: sections.csv",
+        "  scan: {file: finger.stl, unit: inch}",
+        ["finger.scan.unit (line 3)", "'inch'"],
+    ),
+    "mesh": ("  sections: sections.csv", "  mesh: finger.msh", ["finger.mesh (line 3)", "no such file"]),
+    "layers": (
+        "  sections: sections.csv",
+        "  sections: sections.csv\n  layers: {epidermis_mm: 0.5}",
+        ["finger.layers (line 4)", "layers of its own"],
+    ),
+    "mesher": (
+        "  sections: sections.csv",
+        "  sections: sections.csv\n  mesher: colums",
+        ["finger.mesher (line 4)", "did you mean 'columns'"],
+    ),
     "sections": (
         "sections: sections.csv",
         "sections: s.csv",

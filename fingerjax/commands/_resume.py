@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fingerjax import __version__
+from fingerjax.geometry.views import read_views
 from fingerjax.report.records import plain
 from fingerjax.study import Study
 from fingerjax.study_reader import SHARED
@@ -27,7 +28,10 @@ def study_key(study: Study, data: Path | None) -> str:
 
 
 def named_files(study: Study, data: Path | None) -> Iterator[Path]:
-    """Every file that a text in the study names, and the sidecars beside them."""
+    """Every file that a text in the study names, the sidecars beside them, and the pictures that its views name."""
+    if study.finger.images is not None and study.shape is not None:
+        yield study.shape
+        yield from read_views(study.shape).pictures
     for text in _texts(study.written):
         folder = data if text.startswith(SHARED) else study.file.parent
         path = folder / text.removeprefix(SHARED).lstrip("/") if folder is not None else None

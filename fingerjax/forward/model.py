@@ -21,18 +21,17 @@ from ..fem.body import Body, body
 from ..fem.columns import Columns, columns_from_matrix
 from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
-from ..geometry.presets import preset
-from ..geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
+from ..geometry.sections import LayeredSolid
 from ..layers import LAYERS
 from ..measure.afferent import start
 from ..measurements import Measurement
-from ..mesh import Resolution, build_finger
 from ..parameters import Parameter
 from ..study import Study
 from .pressing import settle
 from .problem import Health, Problem
 from .readings import Instruments, Prediction, Solved
 from .rigs import foci, lay, plans
+from .shape import Tell, mesh_of, solid_of, unheard
 from .wiring import Prior, Values, Wiring, priors, wiring
 
 ASSUMED_NOISE = 0.02  # of a measurement's largest value, where nobody says how noisy it is
@@ -183,27 +182,17 @@ def _pooled(measurement: Measurement) -> float | None:
     return float(np.sqrt(spread / freedom)) if freedom >= 3 and spread > 0 else None
 
 
-def solid_of(study: Study) -> LayeredSolid:
-    """The study's fingertip before it is meshed."""
-    finger = study.finger
-    if finger.preset is not None:
-        solid = preset(finger.preset)
-        return solid if finger.nail is None else dataclasses.replace(solid, nail=Patch(finger.nail.z, finger.nail.theta))
-    assert finger.nail is not None and study.sections is not None  # the door has checked
-    return solid_from_sections(Sections.from_csv(study.sections), Patch(finger.nail.z, finger.nail.theta), study.name)
-
-
-def assemble(study: Study, *, solver: str = "auto") -> Assembled:
-    """Mesh a study's finger and lay its measurements out on it.
+def assemble(study: Study, *, solver: str = "auto", tell: Tell = unheard) -> Assembled:
+    """Mesh a study's finger and lay its measurements out on it. `tell(share, what)` hears of the progress.
 
     **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
     outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
     """
-    solid, wired = solid_of(study), wiring(study)
+    solid, wired = solid_of(study, tell), wiring(study)
     _check_labels(study, wired)
-    spacing = study.finger.resolution
     planned = plans(study.measurements, solid, wired)
-    finger = build_finger(solid, Resolution(spacing.pad_mm, spacing.proximal_mm), foci(planned, solid, spacing.pad_mm))
+    tell(0.9, "meshing")
+    finger = mesh_of(study, solid, foci(planned, solid, study.finger.resolution.pad_mm))
     return lay_out(study, solid, finger, wired, solver)
 
 

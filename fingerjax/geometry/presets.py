@@ -113,13 +113,13 @@ def solid_from_dimensions(d: Dimensions) -> LayeredSolid:
     z = d.length * share
     theta = np.radians(np.arange(0.0, 360.0, 4.0))
     profile = _profile(d, z, theta)
-    bone = _bone(d, z, theta)
+    bone = phalanx(d, z, theta)
     ends = _ends(d)
     radii = np.zeros((len(z), len(theta), len(LAYERS)))
     for layer, share_of_radius in enumerate(_shares(d)):
-        radii[:, :, layer] = _rounding(d, z, ends[layer])[:, None] * share_of_radius * profile
+        radii[:, :, layer] = rounding(d, z, ends[layer])[:, None] * share_of_radius * profile
     radii[:, :, BONE] = np.minimum(
-        _rounding(d, z, ends[BONE], blunt=True)[:, None] * bone, radii[:, :, BONE - 1]
+        rounding(d, z, ends[BONE], blunt=True)[:, None] * bone, radii[:, :, BONE - 1]
     )
     sections = Sections(
         z=z, theta=theta, centre=np.tile([0.0, d.bone_rise * d.height], (len(z), 1)), radii=radii
@@ -162,7 +162,7 @@ def _profile(d: Dimensions, z: np.ndarray, theta: np.ndarray) -> np.ndarray:
     return 0.5 * (low + high)
 
 
-def _bone(d: Dimensions, z: np.ndarray, theta: np.ndarray) -> np.ndarray:
+def phalanx(d: Dimensions, z: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """Radius of the bone's elliptical section: base, shaft and tuft of the phalanx joined smoothly."""
     end = d.bone_end * d.length
     base = end - d.phalanx
@@ -173,7 +173,7 @@ def _bone(d: Dimensions, z: np.ndarray, theta: np.ndarray) -> np.ndarray:
     return 1.0 / np.sqrt((np.cos(theta) / half[..., 0]) ** 2 + (np.sin(theta) / half[..., 1]) ** 2)
 
 
-def _rounding(d: Dimensions, z: np.ndarray, end: float, blunt: bool = False) -> np.ndarray:
+def rounding(d: Dimensions, z: np.ndarray, end: float, blunt: bool = False) -> np.ndarray:
     """Factor on the radius towards a layer's end: sqrt(1 - u^p), u from 0 where rounding begins to 1."""
     start = end - 0.5 * d.bone_width[2] if blunt else d.cap_at * d.length
     u = np.clip((z - start) / (end - start), 0.0, 1.0)

@@ -30,6 +30,8 @@ ROUNDING = (
     1e-4  # mm: tables are written with four decimals, so nested radii may cross by one in the last place
 )
 
+PAD_SHARE = (0.25, 0.85)  # of the length, where the fullest point of the pad is looked for
+
 
 @dataclass(frozen=True, eq=False)
 class Sections:
@@ -337,11 +339,15 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class LayeredSolid:
-    """Five nested surfaces of one fingertip, smooth in z and theta; 0 is epidermis, 4 is bone."""
+    """Five nested surfaces of one fingertip, smooth in z and theta; 0 is epidermis, 4 is bone.
+
+    `notes` say what was assumed, clamped or corrected on the way here.
+    """
 
     sections: Sections
     nail: Patch
     name: str = "finger"
+    notes: tuple[str, ...] = ()
 
     @property
     def length(self) -> float:
@@ -433,7 +439,7 @@ class LayeredSolid:
     def pad_centre(self) -> float:
         """z of the fullest point of the pad's middle line, mm."""
         z = np.linspace(0.0, self.length, 2001)
-        return float(z[np.argmin(self.pad_y(z))])
+        return float(z[fullest(z, self.pad_y(z), self.length)])
 
     def area(self, layer: int, z: np.ndarray, angles: int = 180) -> np.ndarray:
         """Area within a layer's outer surface in the sections at z, `(k,)` mm^2."""
@@ -446,6 +452,19 @@ class LayeredSolid:
         z = (np.arange(slices) + 0.5) * self.length / slices
         inner = self.area(layer + 1, z) if layer < BONE else 0.0
         return float(np.sum(self.area(layer, z) - inner) * self.length / slices)
+
+
+def fullest(z: np.ndarray, pad: np.ndarray, length: float) -> int:
+    """Where along z `(s,)` mm the pad's line `(s,)` mm is lowest, within the last phalanx.
+
+    A finger that goes on growing thicker proximally has no lowest point there; then it is where the line hangs lowest below its chord.
+    """
+    there = np.flatnonzero((z >= PAD_SHARE[0] * length) & (z <= PAD_SHARE[1] * length))
+    at = there[np.argmin(pad[there])]
+    if there[0] < at < there[-1]:
+        return int(at)
+    share = (z[there] - z[there[0]]) / (z[there[-1]] - z[there[0]])
+    return int(there[np.argmin(pad[there] - (1.0 - share) * pad[there[0]] - share * pad[there[-1]])])
 
 
 def _continued(z: np.ndarray, squares: np.ndarray) -> np.ndarray:
@@ -466,7 +485,7 @@ def _continued(z: np.ndarray, squares: np.ndarray) -> np.ndarray:
     return out
 
 
-def solid_from_sections(sections: Sections, nail: Patch, name: str = "finger") -> LayeredSolid:
+def solid_from_sections(sections: Sections, nail: Patch, name: str = "finger", notes: tuple[str, ...] = ()) -> LayeredSolid:
     """The smooth solid through sections, with the patch of its surface that is nail."""
     if nail.z[0] < 0 or nail.z[1] > sections.z[-1]:
         raise InputError(
@@ -475,4 +494,4 @@ def solid_from_sections(sections: Sections, nail: Patch, name: str = "finger") -
             seen=nail.z,
             remedy=f"stay between 0 and {sections.z[-1]:g} mm",
         )
-    return LayeredSolid(sections=sections, nail=nail, name=name)
+    return LayeredSolid(sections=sections, nail=nail, name=name, notes=notes)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from fingerjax.mesh.quality import dihedral_angles
 from fingerjax.mesh.topology import oriented, prism_tets, signed_volumes
 
 INSIDE = 5.0  # depth t of points inside the bone, which have no foot
+FLAT = 1e-4  # volume of an element of the bone over the cube of its size, below which other diagonals are tried
 HALVINGS = 42  # 10 mm / 2^42 is at rounding
 
 
@@ -31,11 +33,12 @@ class Rays:
     """The map X(P, t) of one solid.
 
     `thinnest`: a layer thinner than this along a ray, mm, is made this thick at the expense of the ones
-    inside it.
+    inside it. `factors` multiply the thickness of epidermis, dermis and fibrous matrix; adipose tissue gives way.
     """
 
     solid: LayeredSolid
     thinnest: float = 0.03
+    factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @cached_property
     def bone_reach(self) -> float:
@@ -93,7 +96,7 @@ class Rays:
             found = _bisect(within, met[:, layer - 1], np.ones(len(feet)))
             met[:, layer] = np.maximum(found, met[:, layer - 1] + least)
             moved += int(np.sum(met[:, layer] > found + 1e-9))
-        return met, moved
+        return (met, moved) if self.factors == (1.0, 1.0, 1.0) else (np.stack(thickened(met.T, self.factors), axis=1), moved)
 
     def position(self, feet: np.ndarray, t: np.ndarray) -> np.ndarray:
         """X(P, t), `(k, 3)` mm, for feet `(k, 3)` on the skin and depths t `(k,)` from 0 to 4."""
@@ -102,6 +105,16 @@ class Rays:
         row = np.arange(len(feet))
         share = met[row, below] + (t - below) * (met[row, below + 1] - met[row, below])
         return feet + share[:, None] * (self.axis(self.aim(feet[:, 2])) - feet)
+
+
+def thickened(met: Any, factors: Any) -> list[Any]:
+    """Shares of a ray, `(5, k)`, at which interfaces are met once epidermis, dermis and fibrous matrix are `factors` times as thick.
+
+    Skin and bone stay where they are; NumPy's or JAX's arrays.
+    """
+    skin, epidermis, dermis, adipose, bone = met
+    first = skin + factors[0] * (epidermis - skin)
+    return [skin, first, first + factors[1] * (dermis - epidermis), bone - factors[2] * (bone - adipose), bone]
 
 
 def _bisect(beyond: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -152,9 +165,13 @@ class Columns:
 
 
 def columns(
-    solid: LayeredSolid, points: np.ndarray, triangles: np.ndarray, thinnest: float = 0.03
+    solid: LayeredSolid,
+    points: np.ndarray,
+    triangles: np.ndarray,
+    thinnest: float = 0.03,
+    through: int = 1,
 ) -> Columns:
-    """Tetrahedra under the skin triangles: one element through each soft layer, and the bone.
+    """Tetrahedra under the skin triangles: `through` elements through each soft layer, and the bone.
 
     `points`, `(n, 3)`, are put on the true surface; `triangles`, `(f, 3)`, point outwards. Raises
     `InputError` where an element has no volume, which a solid that is not star-shaped about its axis can
@@ -165,24 +182,27 @@ def columns(
     n = len(feet)
     met, moved = rays.depths(feet)
     reach = rays.axis(rays.aim(feet[:, 2])) - feet
-    shells = feet[None] + met.T[:, :, None] * reach[None]
-    stations, station_of = _stations(rays, shells[BONE], triangles)
+    depth = np.arange(BONE * through + 1) / through
+    below = np.minimum(depth.astype(int), BONE - 1)
+    share = met[:, below] + (depth - below) * (met[:, below + 1] - met[:, below])
+    shells = feet[None] + share.T[:, :, None] * reach[None]
+    stations, station_of = _stations(rays, shells[-1], triangles)
     vertices = np.concatenate([shells.reshape(-1, 3), rays.axis(stations)])
     tets, layer = [], []
-    for shell in range(BONE):
+    for shell in range(BONE * through):
         upper, lower = triangles + shell * n, triangles + (shell + 1) * n
         tets.append(prism_tets(upper, lower, rank=_diagonals(vertices, upper, lower)))
-        layer.append(np.full(len(tets[-1]), shell))
-    core = _core(triangles + BONE * n, (BONE + 1) * n + station_of[triangles])
+        layer.append(np.full(len(tets[-1]), shell // through))
+    core = _core(vertices, triangles + BONE * through * n, len(depth) * n + station_of[triangles])
     tets.append(core)
     layer.append(np.full(len(core), BONE))
     elements = oriented(vertices, np.concatenate(tets))
-    t = np.concatenate([np.repeat(np.arange(BONE + 1.0), n), np.full(len(stations), INSIDE)])
+    t = np.concatenate([np.repeat(depth, n), np.full(len(stations), INSIDE)])
     kinds = np.concatenate(layer).astype(np.int64)
     return _without_slivers(
         Columns(
             rays=rays,
-            feet=np.concatenate([np.tile(feet, (BONE + 1, 1)), rays.axis(stations)]),
+            feet=np.concatenate([np.tile(feet, (len(depth), 1)), rays.axis(stations)]),
             t=t,
             vertices=vertices,
             tets=elements,
@@ -203,18 +223,34 @@ def _diagonals(vertices: np.ndarray, upper: np.ndarray, lower: np.ndarray, sweep
     first = int(upper.min())
     column, count = upper - first, int(upper.max()) - first + 1
     rank = np.arange(count, dtype=float)
-    around: list[list[int]] = [[] for _ in range(count)]
-    for prism, corners in enumerate(column):
-        for corner in corners:
-            around[corner].append(prism)
 
     def worst(prisms: np.ndarray | list[int]) -> np.ndarray:
         tets = prism_tets(upper[prisms], lower[prisms], rank=rank[column[prisms]])
         return dihedral_angles(vertices, tets).min(axis=1).reshape(-1, 3).min(axis=1)
 
+    def suspects() -> np.ndarray:
+        angle = worst(np.arange(len(upper)))
+        return np.argsort(angle)[: max(10, len(angle) // 20)]
+
+    _reranked(rank, column, worst, suspects, sweeps)
+    return rank[column]
+
+
+def _reranked(
+    rank: np.ndarray,
+    column: np.ndarray,
+    worst: Callable[[Any], np.ndarray],
+    suspects: Callable[[], np.ndarray],
+    sweeps: int,
+) -> None:
+    """Columns of the suspect prisms tried first and last in rank, in place, kept there when what is `worst` around them grows."""
+    around: list[list[int]] = [[] for _ in range(len(rank))]
+    for prism, corners in enumerate(column):
+        for corner in corners:
+            around[corner].append(prism)
     for _ in range(sweeps):
-        angle, changed = worst(np.arange(len(upper))), False
-        for prism in np.argsort(angle)[: max(10, len(angle) // 20)]:
+        changed = False
+        for prism in suspects():
             for i in column[prism]:
                 before, old = worst(around[i]).min(), rank[i]
                 for new in (rank.min() - 1.0, rank.max() + 1.0):
@@ -225,17 +261,31 @@ def _diagonals(vertices: np.ndarray, upper: np.ndarray, lower: np.ndarray, sweep
                     rank[i] = old
         if not changed:
             break
-    return rank[column]
 
 
-def _core(bone: np.ndarray, axis: np.ndarray) -> np.ndarray:
+def _core(vertices: np.ndarray, bone: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Tetrahedra between triangles of the bone's surface and the axis points they share; prisms that collapse
     lose some.
 
     Diagonals rise from the more proximal axis point's column: by vertex number alone, a column between two of
-    another slab could give one tetrahedron twice.
+    another slab could give one tetrahedron twice. An edge along the bone, as the nail's rim brings about, would then give
+    flat ones, which lie in one plane with the axis: there other diagonals are taken.
     """
-    tets = prism_tets(bone, axis, rank=axis * (np.int64(bone.max()) + 1) + bone)
+    first, count = int(bone.min()), int(bone.max() - bone.min()) + 1
+    column = bone - first
+    station = np.zeros(count, np.int64)
+    station[column] = axis
+    rank = np.argsort(np.argsort(station * np.int64(count) + np.arange(count))).astype(float)
+
+    def worst(prisms: Any) -> np.ndarray:
+        tets = prism_tets(bone[prisms], axis[prisms], rank=rank[column[prisms]])
+        size = np.ptp(vertices[tets], axis=1).max(axis=1) ** 3
+        whole = (np.diff(np.sort(tets, axis=1), axis=1) > 0).all(axis=1)
+        thick = np.where(whole, np.abs(signed_volumes(vertices, tets)) / np.maximum(size, 1e-300), np.inf)
+        return thick.reshape(-1, 3).min(axis=1)
+
+    _reranked(rank, column, worst, lambda: np.flatnonzero(worst(np.arange(len(bone))) < FLAT), 6)
+    tets = prism_tets(bone, axis, rank=rank[column])
     return tets[(np.diff(np.sort(tets, axis=1), axis=1) > 0).all(axis=1)]
 
 

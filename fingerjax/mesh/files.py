@@ -87,14 +87,15 @@ def load(path: str | os.PathLike[str]) -> Finger:
 
 
 def export_vtu(finger: Finger, path: str | os.PathLike[str], **fields: np.ndarray) -> None:
-    """Write a finger for viewers: ten-node tetrahedra, layer per element, nail, bone and proximal per node.
+    """Write a finger for viewers and other programs, in any format of meshio: ten-node tetrahedra, layer of every element (1 epidermis
+    to 5 bone), nail, bone and proximal nodes.
 
     `fields` are further arrays per node `(n, ...)` or per element `(e, ...)`, told apart by their length.
     """
     import meshio
 
-    points = {name: getattr(finger, name).astype(np.uint8) for name in ("nail", "bone", "proximal")}
-    cells = {"layer": [finger.layer]}
+    points = {name: getattr(finger, name).astype(np.int8) for name in ("nail", "bone", "proximal")}
+    cells = {"layer": [(finger.layer + 1).astype(np.int8)]}
     for name, values in fields.items():
         if len(values) == len(finger.nodes):
             points[name] = np.asarray(values)

@@ -57,9 +57,15 @@ def relaxed(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05
     midsides go half-way to straight, for all elements that share them, until none is bad; after six rounds
     they are made straight outright.
     """
+    nodes, pull = pulled(nodes, tets, count, worst)
+    return nodes, int(np.sum(pull > 0))
+
+
+def pulled(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """As `relaxed`; and for each midside the share of the way to straight that it was pulled."""
     pairs, _ = edges(tets[:, :4], count)
     straight = nodes[pairs].mean(axis=1)
-    nodes, touched = nodes.copy(), np.zeros(len(pairs), bool)
+    nodes, left = nodes.copy(), np.ones(len(pairs))
     points = np.concatenate([POINTS, CORNERS])
     flat = determinants(np.concatenate([nodes[:count], straight]), tets, POINTS[:1])[:, 0]
     suspects = np.arange(len(tets))
@@ -69,10 +75,10 @@ def relaxed(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05
         if not len(bad):
             break
         sides = np.unique(bad[:, 4:]) - count
-        touched[sides] = True
         pull = 0.5 if halving < 6 else 1.0
+        left[sides] *= 1.0 - pull
         nodes[count + sides] += pull * (straight[sides] - nodes[count + sides])
         moved = np.zeros(len(nodes), bool)
         moved[count + sides] = True
         suspects = np.flatnonzero(moved[tets[:, 4:]].any(axis=1))
-    return nodes, int(touched.sum())
+    return nodes, 1.0 - left

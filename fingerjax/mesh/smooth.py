@@ -11,6 +11,7 @@ import numpy as np
 
 from fingerjax.layers import BONE
 from fingerjax.mesh.columns import Rays
+from fingerjax.mesh.contour import along_nail
 from fingerjax.mesh.topology import TRIANGLE_EDGES
 
 
@@ -95,6 +96,17 @@ def smoothed(
             if not count:
                 break
         feet = _moved(rays, feet, triangles, rim)
+    return feet, triangles
+
+
+def outlined(rays: Rays, points: np.ndarray, triangles: np.ndarray, rounds: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """The triangulation cut along the nail's rim, and smoothed again with that rim and the one of the cut left in place."""
+    points, triangles, on = along_nail(rays.solid, points, triangles)
+    feet = rays.foot(points)
+    feet[on] = points[on]
+    still = on | (np.abs(feet[:, 2]) < 1e-12)
+    for _ in range(rounds):
+        feet = _moved(rays, feet, triangles, still)
     return feet, triangles
 
 

@@ -51,6 +51,11 @@ class Resolution:
         """Largest node spacing, mm."""
         return 3.0 * self.pad if self.proximal is None else self.proximal
 
+    def finer(self, times: float) -> Resolution:
+        """For about `times` as many nodes: a ladder of 2, 4 and 8 for convergence."""
+        share = float(times) ** (-1.0 / 3.0)
+        return Resolution(self.pad * share, self.coarsest * share)
+
 
 def closed_surface(solid: LayeredSolid, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """The whole outer surface with its proximal cap, points `(n, 3)` and outward triangles `(f, 3)`."""
@@ -67,10 +72,10 @@ def closed_surface(solid: LayeredSolid, spacing: float) -> tuple[np.ndarray, np.
         [[*solid.centre(np.array([0.0]))[0], 0.0], [*solid.centre(np.array([solid.length]))[0], solid.length]]
     )
     points = np.concatenate([side.reshape(-1, 3), caps])
-    return points, _grid_triangles(len(z), turns)
+    return points, grid_triangles(len(z), turns)
 
 
-def _grid_triangles(rings: int, turns: int) -> np.ndarray:
+def grid_triangles(rings: int, turns: int) -> np.ndarray:
     """Triangles between rings of points, closed by a fan at each end; outwards when z grows with the ring."""
     i, j = (a.ravel() for a in np.meshgrid(np.arange(rings - 1), np.arange(turns), indexing="ij"))
     a, b = i * turns + j, i * turns + (j + 1) % turns
@@ -98,8 +103,8 @@ def edge_length(solid: LayeredSolid, resolution: Resolution, points: np.ndarray)
     return np.minimum(2.0 * resolution.pad + GROWTH * distance, 2.0 * resolution.coarsest)
 
 
-def _background(solid: LayeredSolid, resolution: Resolution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A box of tetrahedra around the finger that carries the wanted edge length."""
+def background_box(solid: LayeredSolid, resolution: Resolution) -> tuple[np.ndarray, np.ndarray]:
+    """A box of tetrahedra around the finger, points `(n, 3)` and elements `(e, 4)`, to carry the wanted edge length."""
     surface = solid.surface(
         np.linspace(0, solid.length, 40)[:, None], np.linspace(0, 6.28, 40)[None]
     ).reshape(-1, 3)
@@ -108,7 +113,7 @@ def _background(solid: LayeredSolid, resolution: Resolution) -> tuple[np.ndarray
     axes = [np.linspace(low[i], high[i], count[i] + 1) for i in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     divisions = (int(count[0]), int(count[1]), int(count[2]))
-    return points, kuhn_tets(divisions).astype(np.int32), OVERSHOOT * edge_length(solid, resolution, points)
+    return points, kuhn_tets(divisions).astype(np.int32)
 
 
 def skin_triangles(solid: LayeredSolid, resolution: Resolution) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +128,7 @@ def skin_triangles(solid: LayeredSolid, resolution: Resolution) -> tuple[np.ndar
     # The sag of the longest edge: a tighter envelope forces the mesh finer than asked (points are put back on
     # the surface).
     envelope = 0.5 * resolution.coarsest**2 / solid.largest_radius
-    background = _background(solid, resolution)
+    box, box_tets = background_box(solid, resolution)
     # It leaves a file __tracked_surface.stl in the working directory.
     with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
         vertices, tets = pytetwild.tetrahedralize(
@@ -134,9 +139,9 @@ def skin_triangles(solid: LayeredSolid, resolution: Resolution) -> tuple[np.ndar
             optimize=True,
             vtk_ordering=True,
             quiet=True,
-            bg_vertices=background[0],
-            bg_tets=background[1],
-            bg_values=background[2],
+            bg_vertices=box,
+            bg_tets=box_tets,
+            bg_values=OVERSHOOT * edge_length(solid, resolution, box),
         )
     return _without_cut(np.asarray(vertices, float), boundary(np.asarray(tets, np.int64)), 2.0 * envelope)
 

@@ -105,3 +105,31 @@ def kuhn_tets(divisions: tuple[int, int, int]) -> np.ndarray:
             steps[position + 1 :, axis] += 1
         tets.append((cell[:, None] + steps) @ stride)
     return np.stack(tets, axis=1).reshape(-1, 4)
+
+
+def divided(points: np.ndarray, triangles: np.ndarray, times: int) -> tuple[np.ndarray, np.ndarray]:
+    """Each flat triangle cut into `times**2` alike ones; points on shared edges are shared. The old points come first."""
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(times + 1), np.arange(times + 1), indexing="ij"))
+    i, j = i[i + j <= times], j[i + j <= times]
+    weight = np.stack([times - i - j, i, j], axis=1)  # (k, 3), of a triangle's corners
+    number = np.full((times + 1, times + 1), -1)
+    number[i, j] = np.arange(len(i))
+    upright = [(a, b) for a in range(times) for b in range(times - a)]
+    small = [[number[a, b], number[a + 1, b], number[a, b + 1]] for a, b in upright]
+    small += [[number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]] for a, b in upright if a + b < times - 1]
+    # A point is known by its corners and their weights, whichever triangle it is seen from.
+    corner = np.where(weight[None] > 0, triangles[:, None, :], -1)
+    order = np.argsort(corner, axis=2)
+    parts = [np.take_along_axis(each, order, 2) for each in (corner, np.broadcast_to(weight, corner.shape))]
+    tag = np.concatenate(parts, axis=2)
+    tag = np.where(np.tile(tag[:, :, :3] < 0, 2), -1, tag).reshape(-1, 6)
+    is_corner = (tag[:, 1] < 0) & (tag[:, 2] >= 0)
+    _, first, inverse = np.unique(tag, axis=0, return_index=True, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    position = np.einsum("kc,fci->fki", weight / times, points[triangles]).reshape(-1, 3)[first]
+    new = np.flatnonzero(~is_corner[first])
+    target = np.empty(len(first), np.int64)
+    target[is_corner[first]] = tag[first[is_corner[first]], 2]
+    target[new] = len(points) + np.arange(len(new))
+    cut = target[inverse].reshape(len(triangles), -1)[:, np.array(small)]
+    return np.concatenate([points, position[new]]), cut.reshape(-1, 3)

@@ -23,8 +23,7 @@ PAPER_RATIO = 0.1  # dermis and deeper layers to epidermis: m43338, Dandekar et 
 
 def fit_study(study: Study, context: Context) -> StudyResult:
     """Fit a study's free parameters to its measurements. A fit that is not settled leaves its reason and no value."""
-    context.tell(0.02, "meshing")
-    assembled = assemble(study)
+    assembled = assemble(study, tell=lambda share, what: context.tell(0.3 * share, what))
     context.tell(0.3, "first reading")
     problem = assembled.problem()
     found = fit(problem, progress=lambda step: context.tell(min(0.35 + 0.05 * step.step, 0.95), f"step {step.step}, chi2 {step.chi2:.4g}"))
@@ -35,7 +34,7 @@ def fit_study(study: Study, context: Context) -> StudyResult:
         verdict=words.verdict(found, known),
         result=found.result,
         warnings=words.warnings(found, known),
-        notes=[study.notes] if study.notes else [],
+        notes=[*([study.notes] if study.notes else []), *assembled.solid.notes],
         meshes={assembled.solid.name: mesh_record(assembled.finger)},
     )
     if not found.settled:
@@ -91,13 +90,13 @@ def _log_slope(owner: str, name: str) -> float:
 
 def predict_study(study: Study, context: Context) -> StudyResult:
     """Read every instrument at the study's own values, beside what was measured."""
-    context.tell(0.02, "meshing")
-    assembled = assemble(study)
+    assembled = assemble(study, tell=lambda share, what: context.tell(0.4 * share, what))
     context.tell(0.4, "reading")
     prediction = assembled.predict()
     why = complaint(prediction)
     begun = StudyResult(study.name, "Prediction", f"Not converged: {why.value}", RESULTS.not_converged, warnings=[why.value])
-    begun = dataclasses.replace(begun, meshes={assembled.solid.name: mesh_record(assembled.finger)})
+    notes, meshes = list(assembled.solid.notes), {assembled.solid.name: mesh_record(assembled.finger)}
+    begun = dataclasses.replace(begun, notes=notes, meshes=meshes)
     if why is not RESULTS.successful:
         return begun
     tidy = [rows(one, np.asarray(prediction.readings[i]), noise_of(one)[0]) for i, one in enumerate(study.measurements)]

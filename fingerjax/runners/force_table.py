@@ -9,12 +9,14 @@ modulus, so each row is answered in one reading of the model, and no start value
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 
 from .._results import RESULTS
 from ..finger import Finger
 from ..forward import assemble
+from ..forward.shape import solid_of
 from ..indenter_spec import IndenterSpec
 from ..measurements import Measurement
 from ..report import figures
@@ -35,12 +37,18 @@ def force_table(study: Study, context: Context) -> StudyResult:
     assert isinstance(table, ForceTable)
     fingers, forces, why = _pressed_all(study, table, context)
     title, verdict = study.notes.split(". ")[0] or "Moduli from forces", f"Not converged: {why.value} No modulus is reported."
-    begun = StudyResult(study.name, title, verdict, RESULTS.not_converged, warnings=[why.value], notes=[study.notes])
+    notes = [study.notes, *solid_of(study).notes]
+    begun = StudyResult(study.name, title, verdict, RESULTS.not_converged, warnings=[why.value], notes=notes)
     begun = dataclasses.replace(begun, meshes={f"{one.name}, {name}": mesh_record(one) for name, one in fingers.items()})
     if why is not RESULTS.successful:
         return begun
     result = _result(begun, table, forces, study.model.moduli()["epidermis"])
     return _driven(result, study, table, context) if table.drivers else result
+
+
+def _at(context: Context, begun: float, _: float, what: str) -> None:
+    """Progress on the images of a finger, told where the bar stands."""
+    context.tell(begun, what)
 
 
 def _driven(result: StudyResult, study: Study, table: ForceTable, context: Context) -> StudyResult:
@@ -55,8 +63,9 @@ def _pressed_all(study: Study, table: ForceTable, context: Context) -> tuple[dic
     forces: dict[str, np.ndarray] = {}
     wanted, until = measurements_of(table), DRIVERS_FROM if table.drivers else 0.98
     for number, one in enumerate(wanted):
-        context.tell(0.02 + (until - 0.02) * number / len(wanted), one.name)
-        assembled = assemble(dataclasses.replace(study, measurements=(one,)))
+        begun = 0.02 + (until - 0.02) * number / len(wanted)
+        context.tell(begun, one.name)
+        assembled = assemble(dataclasses.replace(study, measurements=(one,)), tell=partial(_at, context, begun))
         fingers[one.name], prediction = assembled.finger, assembled.predict()
         why = complaint(prediction)
         if why is not RESULTS.successful:

@@ -29,9 +29,11 @@ def layer_models(study: Study, context: Context) -> StudyResult:
     """Profiles of every model, and what a change of each layer does to them."""
     options = study.options
     assert isinstance(options, LayerStudy)
-    context.tell(0.02, "meshing")
-    assembled = assemble(dataclasses.replace(study, measurements=(profile(options),)))
-    begun = StudyResult(study.name, study.notes.split(". ")[0] or "Layer study", "", RESULTS.not_converged, notes=[study.notes])
+    assembled = assemble(
+        dataclasses.replace(study, measurements=(profile(options),)), tell=lambda share, what: context.tell(0.1 * share, what)
+    )
+    notes = [study.notes, *assembled.solid.notes]
+    begun = StudyResult(study.name, study.notes.split(". ")[0] or "Layer study", "", RESULTS.not_converged, notes=notes)
     begun = dataclasses.replace(begun, meshes={assembled.solid.name: mesh_record(assembled.finger)})
     profiles: dict[str, np.ndarray] = {}
     for number, model in enumerate(options.models):

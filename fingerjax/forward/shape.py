@@ -1,0 +1,123 @@
+"""A study's fingertip before it is computed on: the layered solid behind whichever door it came in by, and its mesh."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..finger import Finger
+from ..finger_keys import LayerKeys
+from ..geometry.layers import LayerPlan, layered
+from ..geometry.outline import Outline
+from ..geometry.presets import preset
+from ..geometry.scan import Frame, outline_from_scan
+from ..geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
+from ..geometry.silhouette import outline_from_views
+from ..geometry.views import Views, read_views
+from ..mesh import Focus, Resolution, build_finger
+from ..mesh.cache import Arrays, content_key, kept
+from ..mesh.imported import read_mesh
+from ..study import Study
+
+SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
+Tell = Callable[[float, str], object]
+
+
+def unheard(share: float, what: str) -> None:
+    """Tells nobody."""
+
+
+def solid_of(study: Study, tell: Tell = unheard) -> LayeredSolid:
+    """The study's fingertip before it is meshed; `tell(share, what)` hears of the progress on its images.
+
+    **Raises** `InputError` for whatever is wrong with the files behind the door.
+    """
+    finger, nail = study.finger, _nail(study)
+    if finger.preset is not None:
+        solid = preset(finger.preset)
+        return solid if nail is None else dataclasses.replace(solid, nail=nail)
+    if finger.sections is not None:
+        assert nail is not None  # the door has checked
+        return solid_from_sections(Sections.from_csv(_there(study.sections, finger.sections)), nail, study.name)
+    if finger.mesh is not None:
+        return read_mesh(_there(study.shape, finger.mesh.file), nail, finger.mesh.unit, study.name)[1]
+    return layered(_outline(study, tell), _plan(study), nail, study.name)
+
+
+def mesh_of(study: Study, solid: LayeredSolid, focus: tuple[Focus, ...] = ()) -> Finger:
+    """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for."""
+    said = study.finger
+    if said.mesh is not None:
+        return read_mesh(_there(study.shape, said.mesh.file), _nail(study), said.mesh.unit, study.name)[0]
+    return build_finger(solid, Resolution(said.resolution.pad_mm, said.resolution.proximal_mm), focus, said.mesher)
+
+
+def _nail(study: Study) -> Patch | None:
+    nail = study.finger.nail
+    return None if nail is None else Patch(nail.z, nail.theta)
+
+
+def _there(path: Path | None, written: str) -> Path:
+    """A file of the data folder may be missing until here."""
+    if path is None:
+        raise InputError("the finger's file is not there", seen=written, remedy="name the data folder with --data")
+    return path
+
+
+def _outline(study: Study, tell: Tell) -> Outline:
+    finger = study.finger
+    if finger.scan is not None:
+        said = finger.scan
+        return outline_from_scan(_there(study.shape, said.file), Frame(said.axis, said.nail, said.length_mm), said.unit)
+    assert finger.images is not None  # the last door
+    views = read_views(_there(study.shape, finger.images))
+    return _outline_of(kept(f"{_key(views)}-outline", lambda: _arrays(outline_from_views(views, tell))))
+
+
+def _key(views: Views) -> str:
+    """What the pictures and the file beside them hold."""
+    hashed = hashlib.sha256(views.file.read_bytes())
+    for picture in views.pictures:
+        hashed.update(picture.read_bytes())
+    return content_key(SILHOUETTE, hashed.hexdigest())
+
+
+def _arrays(outline: Outline) -> Arrays:
+    return {
+        "z": outline.z,
+        "curves": np.concatenate(outline.curves),
+        "lengths": np.array([len(curve) for curve in outline.curves]),
+        "apex": outline.apex,
+        "notes": np.frombuffer(json.dumps(outline.notes).encode(), np.uint8),
+    }
+
+
+def _outline_of(arrays: Arrays) -> Outline:
+    curves = tuple(np.split(arrays["curves"], np.cumsum(arrays["lengths"])[:-1]))
+    notes = tuple(json.loads(arrays["notes"].tobytes().decode()))
+    return Outline(arrays["z"], curves, arrays["apex"], notes)
+
+
+def _plan(study: Study) -> LayerPlan:
+    said = study.finger.layers or LayerKeys()
+    if said.bone.sections is not None:
+        _there(study.bone, said.bone.sections)
+    return LayerPlan(
+        like=said.like,
+        epidermis=said.epidermis_mm,
+        dermis=said.dermis_mm,
+        varies=said.varies,
+        fibrous=said.fibrous,
+        bone_width=said.bone.width_mm,
+        bone_height=said.bone.height_mm,
+        bone_length=said.bone.length_mm,
+        bone_end=said.bone.end,
+        rise=said.bone.rise,
+        bone_sections=study.bone,
+    )
