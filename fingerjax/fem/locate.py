@@ -1,14 +1,12 @@
-"""Where a point lies in a body, and the strain there as a linear reading of the displacement."""
+"""Which element of a body a point lies in, and where in it."""
 
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from . import element
 from .body import Body
 
-VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy; shears are engineering strains
 INSIDE = 1e-6  # barycentric slack for a point on a face
 
 
@@ -38,18 +36,3 @@ def _undo_map(nodes: np.ndarray, order: int, point: np.ndarray, local: np.ndarra
         if np.abs(step).max() < 1e-13:
             break
     return local
-
-
-def strain_columns(body: Body, point: np.ndarray) -> tuple[sp.csc_matrix, int]:
-    """Six columns (3n, 6) that read the strain at `point`, in Voigt order with engineering shears, and the layer it lies in."""
-    where, local = locate(body, point)
-    nodes = np.asarray(body.tets)[where]
-    slopes = element.slopes(local[None], body.order)[0]
-    gradient = slopes @ np.linalg.inv(np.asarray(body.nodes)[nodes].T @ slopes)
-    columns = sp.lil_matrix((3 * len(body.free), 6))
-    for row, (i, j) in enumerate(VOIGT):
-        for node, slope in zip(nodes, gradient, strict=True):
-            columns[3 * node + i, row] += slope[j]
-            if i != j:
-                columns[3 * node + j, row] += slope[i]
-    return columns.tocsc(), int(np.asarray(body.layer)[where])
