@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from fingerjax.csvfile import read_table
 from fingerjax.errors import InputError
+from fingerjax.forward.rigs import indenter_from
 from fingerjax.indenter_spec import SHAPES, IndenterSpec, read_indenter
 from fingerjax.measurements import Receptor, Site, read_measurement
 
@@ -483,3 +484,20 @@ def test_published_forces_load_without_a_sidecar():
     }
     one = read_measurement(DATA / "human-fingerpad-force-depth" / "force_depth.csv", said)
     assert set(one.table["subject"]) == {"1", "3"} and (one.sigma > 0).all()
+
+
+def test_a_grating_may_say_its_period():
+    spec = read_indenter({"shape": "grating", "ridge_mm": 1, "period_mm": 3})
+    assert spec.dimensions["groove"] == 2.0
+    with pytest.raises(InputError, match="as wide as its period"):
+        read_indenter({"shape": "grating", "ridge_mm": 3, "period_mm": 3})
+    with pytest.raises(InputError, match="say the same"):
+        read_indenter({"shape": "grating", "ridge_mm": 1, "period_mm": 3, "groove_mm": 2})
+
+
+def test_shapes_with_lists_become_indenters(tmp_path):
+    (tmp_path / "ramp.csv").write_text("position_mm,height_mm\n-1,0\n0,0.2\n1,-0.1\n")
+    ramp = indenter_from(read_indenter({"shape": "profile", "data": "ramp.csv"}, folder=tmp_path))
+    assert float(ramp.height(0.0, 1.0)) == pytest.approx(-0.3)
+    ridges = indenter_from(read_indenter({"shape": "grating", "ridge_mm": [1, 2], "groove_mm": [0.5]}))
+    assert bool(ridges.covers(0.0, 2.9)) and not bool(ridges.covers(0.0, 0.7))

@@ -12,8 +12,8 @@ import scipy.sparse.linalg as spla
 from fingerjax.fem import element
 from fingerjax.fem.assembly import Assembled
 from fingerjax.fem.body import Body, assemble_body
-from fingerjax.fem.locate import locate
-from fingerjax.fem.recovery import VOIGT, patch, strain_columns
+from fingerjax.fem.locate import Locator
+from fingerjax.fem.recovery import VOIGT, Recovery, strain_columns
 from fingerjax.mesh.topology import oriented, quadratic
 
 from .fem_tools import consistent_load, cube, cube_body
@@ -47,9 +47,9 @@ def wild(edge: float) -> Body:
     return _body(np.asarray(vertices, float), np.asarray(tets, np.int64))
 
 
-def own_strain(body: Body, u: np.ndarray, point: np.ndarray) -> np.ndarray:
+def own_strain(body: Body, locate: Locator, u: np.ndarray, point: np.ndarray) -> np.ndarray:
     """The strain of the element that holds the point."""
-    where, local = locate(body, point)
+    where, local = locate(point)
     nodes = np.asarray(body.tets)[where]
     slopes = element.slopes(local[None], body.order)[0]
     return _voigt(u[nodes].T @ slopes @ np.linalg.inv(np.asarray(body.nodes)[nodes].T @ slopes))
@@ -71,8 +71,9 @@ def exact_strain(field: Field, point: np.ndarray, step: float = 1e-5) -> np.ndar
 
 def errors(body: Body, u: np.ndarray, field: Field) -> tuple[float, float]:
     """Root mean square error of the strain at the points: of the elements' own, and of the recovered one."""
-    own = [own_strain(body, u, point) - exact_strain(field, point) for point in POINTS]
-    recovered = [strain_columns(body, point)[0].T @ u.ravel() - exact_strain(field, point) for point in POINTS]
+    recovery, exact = Recovery(body), np.array([exact_strain(field, point) for point in POINTS])
+    own = np.array([own_strain(body, recovery.locate, u, point) for point in POINTS]) - exact
+    recovered = (recovery.strains(POINTS)[0].T @ u.ravel()).reshape(-1, 6) - exact
     return float(np.sqrt(np.mean(np.square(own)))), float(np.sqrt(np.mean(np.square(recovered))))
 
 
@@ -150,9 +151,19 @@ def test_a_layer_of_one_element_is_quadratic_across_and_cubic_along():
     u = np.stack([nodes[:, 0] ** 3, nodes[:, 1] ** 2, nodes[:, 0] * nodes[:, 1]], axis=1).ravel()
     point = np.array([0.45, 0.58, 0.5])
     columns, layer = strain_columns(body, point)
-    around = patch(np.asarray(body.tets), np.asarray(body.layer), locate(body, point)[0])
+    recovery = Recovery(body)
+    around = recovery.patch(recovery.locate(point)[0])
     assert layer == 3 and len(np.unique(np.round(nodes[around, 1], 9))) == 3
     np.testing.assert_allclose(columns.T @ u, [3 * 0.45**2, 2 * 0.58, 0, 0.45, 0.58, 0], atol=1e-9)
+
+
+def test_the_slope_of_a_strain_along_a_direction_is_that_of_its_polynomial():
+    body = shaken(4)
+    nodes = np.asarray(body.nodes)
+    u = np.stack([nodes[:, 0] ** 3, nodes[:, 1] ** 2 * nodes[:, 0], nodes[:, 2] * nodes[:, 1]], axis=1).ravel()
+    point, along = np.array([[0.45, 0.58, 0.5]]), np.array([[0.6, 0.0, 0.8]])
+    slope = Recovery(body).slopes(point, along).T @ u
+    np.testing.assert_allclose(slope, [6 * 0.45 * 0.6, 2 * 0.58 * 0.6, 0, 0.8, 0, 0], atol=1e-9)
 
 
 def test_a_point_outside_is_refused():

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from .body import Body
-from .locate import locate
+from .locate import Locator
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy; shears are engineering strains
 POWERS = np.array(sorted(((i, j, k) for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3), key=sum))
@@ -30,44 +30,83 @@ DISTINCT = 0.1  # a power of which lower ones leave less than this share is not 
 NEARNESS = 6.0  # weight exp(-6 r^2), with r = 1 at the farthest node
 
 
+class Recovery:
+    """Reads strains anywhere in a body. Lives outside compiled code."""
+
+    def __init__(self, body: Body):
+        self.nodes, self.tets, self.layer = np.asarray(body.nodes), np.asarray(body.tets), np.asarray(body.layer)
+        self.locate = Locator(self.nodes, self.tets)
+        elements = np.repeat(np.arange(len(self.tets)), self.tets.shape[1])
+        ones = np.ones(self.tets.size, np.int8)
+        self._of_node = sp.csr_matrix((ones, (self.tets.ravel(), elements)), shape=(len(self.nodes), len(self.tets)))
+
+    def strains(self, points: np.ndarray) -> tuple[sp.csc_matrix, np.ndarray]:
+        """Columns (3n, 6 m) that read the strains at `points` (m, 3), mm, six each in Voigt order with engineering shears; layers (m,).
+
+        Raises ValueError where a point lies in no element.
+        """
+        found = [self._at(np.asarray(point, float), None) for point in points]
+        return _hstack([columns for columns, _ in found], self.nodes), np.array([layer for _, layer in found])
+
+    def slopes(self, points: np.ndarray, directions: np.ndarray) -> sp.csc_matrix:
+        """Columns (3n, 6 m) that read how the same strains change along unit `directions` (m, 3), per mm: of the same polynomials."""
+        pairs = zip(np.asarray(points, float), np.asarray(directions, float), strict=True)
+        return _hstack([self._at(point, direction)[0] for point, direction in pairs], self.nodes)
+
+    def patch(self, element: int) -> np.ndarray:
+        """Nodes (k,) of an element, of the elements of its layer that touch it, and of theirs, until they are enough for a cubic."""
+        found = np.unique(self.tets[element])
+        while len(found) < ENOUGH * len(POWERS):
+            touching = np.unique(self._of_node[found].indices)
+            grown = np.unique(self.tets[touching[self.layer[touching] == self.layer[element]]])
+            if len(grown) == len(found):
+                break
+            found = grown
+        return found
+
+    def _at(self, point: np.ndarray, direction: np.ndarray | None) -> tuple[sp.csc_matrix, int]:
+        element, _ = self.locate(point)
+        around = self.patch(element)
+        away = self.nodes[around] - point
+        size = np.linalg.norm(away, axis=1).max()
+        slopes = fitted_slopes(away / size, direction) / (size if direction is None else size**2)
+        columns = sp.lil_matrix((3 * len(self.nodes), 6))
+        for row, (i, j) in enumerate(VOIGT):
+            columns[3 * around + i, row] = slopes[:, [j]]
+            if i != j:
+                columns[3 * around + j, row] = slopes[:, [i]]
+        return columns.tocsc(), int(self.layer[element])
+
+
 def strain_columns(body: Body, point: np.ndarray) -> tuple[sp.csc_matrix, int]:
-    """Six columns (3n, 6) that read the strain at `point` (3,), mm, in Voigt order with engineering shears, and the layer it lies in.
+    """Six columns (3n, 6) that read the strain at one `point` (3,), mm, and the layer it lies in. Raises ValueError outside the body."""
+    columns, layers = Recovery(body).strains(np.asarray(point, float)[None])
+    return columns, int(layers[0])
 
-    Raises ValueError where the point lies in no element.
+
+def _hstack(parts: list[sp.csc_matrix], nodes: np.ndarray) -> sp.csc_matrix:
+    return sp.csc_matrix(sp.hstack(parts)) if parts else sp.csc_matrix((3 * len(nodes), 0))
+
+
+def fitted_slopes(away: np.ndarray, direction: np.ndarray | None = None) -> np.ndarray:
+    """Weights (k, 3) that values at places (k, 3), none farther from the origin than 1, have in the slopes of their polynomial there.
+
+    With a `direction` (3,), in the derivatives of those slopes along it.
     """
-    element, _ = locate(body, point)
-    around = patch(np.asarray(body.tets), np.asarray(body.layer), element)
-    away = np.asarray(body.nodes)[around] - point
-    size = np.linalg.norm(away, axis=1).max()
-    slopes = fitted_slopes(away / size) / size
-    columns = sp.lil_matrix((3 * len(body.free), 6))
-    for row, (i, j) in enumerate(VOIGT):
-        columns[3 * around + i, row] = slopes[:, [j]]
-        if i != j:
-            columns[3 * around + j, row] = slopes[:, [i]]
-    return columns.tocsc(), int(np.asarray(body.layer)[element])
-
-
-def patch(tets: np.ndarray, layer: np.ndarray, element: int) -> np.ndarray:
-    """Nodes (k,) of an element, of the elements of its layer that touch it, and of theirs, until they are enough for a cubic."""
-    own = tets[layer == layer[element]]
-    found = np.unique(tets[element])
-    while len(found) < ENOUGH * len(POWERS):
-        grown = np.unique(own[np.isin(own[:, :4], found).any(axis=1)])
-        if len(grown) == len(found):
-            break
-        found = grown
-    return found
-
-
-def fitted_slopes(away: np.ndarray) -> np.ndarray:
-    """Weights (k, 3) that values at places (k, 3), none farther from the origin than 1, have in the slopes of their polynomial there."""
     weight = np.exp(-NEARNESS * np.sum(away**2, axis=1))
     powers = np.prod(away[:, None, :] ** POWERS, axis=2) * weight[:, None]  # k place, c power
     kept, basis = _told_apart(powers)
-    coefficients = np.linalg.solve(basis.T @ powers[:, kept], basis.T * weight)
-    linear = [kept.index(int(np.flatnonzero((POWERS == axis).all(axis=1))[0])) for axis in np.eye(3, dtype=int)]
-    return coefficients[linear].T
+    coefficients = np.zeros((len(POWERS), len(away)))
+    coefficients[kept] = np.linalg.solve(basis.T @ powers[:, kept], basis.T * weight)
+    axes = np.eye(3, dtype=int)
+    if direction is None:
+        return coefficients[[_power(axis) for axis in axes]].T
+    second = [[(1 + (i == j)) * coefficients[_power(axes[i] + axes[j])] for j in range(3)] for i in range(3)]
+    return np.einsum("ijk,j->ki", np.array(second), direction)
+
+
+def _power(wanted: np.ndarray) -> int:
+    return int(np.flatnonzero((wanted == POWERS).all(axis=1))[0])
 
 
 def _told_apart(powers: np.ndarray) -> tuple[list[int], np.ndarray]:

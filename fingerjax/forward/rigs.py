@@ -73,9 +73,7 @@ class Plan:
 
 def indenter_from(spec: IndenterSpec) -> AbstractIndenter:
     """The rigid shape that a sidecar describes."""
-    table = (spec.lists["position"], spec.lists["height"]) if "position" in spec.lists else None
-    dimensions = {**spec.dimensions, **{name: value for name, value in spec.lists.items() if name in ("ridge", "groove")}}
-    return from_spec(spec.shape, dimensions, spec.along or "x", table)  # type: ignore[arg-type]
+    return from_spec(spec.shape, spec.dimensions, spec.along or "x", spec.lists)
 
 
 def site(solid: LayeredSolid, measurement: Measurement) -> tuple[float, float]:
