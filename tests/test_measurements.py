@@ -501,3 +501,15 @@ def test_shapes_with_lists_become_indenters(tmp_path):
     assert float(ramp.height(0.0, 1.0)) == pytest.approx(-0.3)
     ridges = indenter_from(read_indenter({"shape": "grating", "ridge_mm": [1, 2], "groove_mm": [0.5]}))
     assert bool(ridges.covers(0.0, 2.9)) and not bool(ridges.covers(0.0, 0.7))
+
+
+def test_what_holds_for_every_row_is_said_once(tmp_path):
+    (tmp_path / "rates.csv").write_text("x_mm,rate_ips\n-1,3\n1,4\n")
+    said = {"kind": "spike_rate", "indenter": "flat_plate", "columns": {"position_mm": "x_mm"}, "every": {"depth_um": 800}}
+    said["receptor"] = {"depth_mm": 0.75, "z_mm": 8, "theta_deg": 270}
+    assert read_measurement(tmp_path / "rates.csv", said).table["depth"].tolist() == [0.8, 0.8]
+    for every, word in (({"deepness_mm": 1}, "not one of our columns"), ({"x_mm": 1}, "not one of our columns")):
+        with pytest.raises(InputError, match=word):
+            read_measurement(tmp_path / "rates.csv", {**said, "every": every})
+    with pytest.raises(InputError, match="the table has this column itself"):
+        read_measurement(tmp_path / "rates.csv", {**said, "every": {"depth_mm": 1, "rate_ips": 2}})

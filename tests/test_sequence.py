@@ -14,7 +14,7 @@ from fingerjax.errors import InputError
 from fingerjax.fem.body import Material, material
 from fingerjax.fem.solver import direct_available
 from fingerjax.finger import Finger
-from fingerjax.forward.sequence import Pushed, Sequence, check, prepare
+from fingerjax.forward.sequence import Pushed, Sequence, check, population, prepare
 from fingerjax.geometry.presets import preset
 from fingerjax.measure.afferent import rate
 from fingerjax.measure.receptor import strain_energy_density
@@ -88,7 +88,7 @@ QUESTIONS: dict[str, tuple[dict[str, float], Asked]] = {
         lambda s, C, v: s.press(C, Tilted(Bar(v[5], v[6]), v[3], v[4]), travel=v[0], offset=v[1:3]),
     ),
     "flat cylinder": ({"radius": 1.5, "edge radius": 0.2}, lambda s, C, v: s.press(C, FlatCylinder(v[0], v[1]), travel=0.6)),
-    "sphere": ({"force": 0.05, "radius": 3.0, "x": 0.02}, lambda s, C, v: s.press(C, Sphere(v[1]), force=v[0], offset=v[jnp.array([2, 2])])),
+    "sphere": ({"force": 0.05, "radius": 3.0, "x": 0.02}, lambda s, C, v: s.press(C, Sphere(v[1]), force=v[0], offset=v[2] * jnp.ones(2))),
     "step": ({"force": 0.05, "amplitude": 0.5, "wavelength": 3.0}, lambda s, C, v: s.press(C, Step(v[1], v[2]), force=v[0])),
     "grating": ({"ridge": 0.93, "groove": 1.47, "edge radius": 0.1}, lambda s, C, v: s.press(C, Grating(v[0], v[1], v[2]), travel=0.6)),
 }
@@ -198,6 +198,14 @@ def test_sites_lie_at_their_depth() -> None:
     assert line.points[1, 2] == MIDDLE and across.points[0, 0] == pytest.approx(-across.points[1, 0], abs=1e-3)
     grid = plane(SOLID, 0.75, np.array([-1.0, 0.0, 1.0]), MIDDLE + np.array([0.0, 1.0]))
     assert len(grid) == 6 and grid.points[0, 2] == grid.points[2, 2] != grid.points[1, 2]
+
+
+def test_a_population_reads_what_a_prepared_receptor_does(sequence: Sequence) -> None:
+    condensed = sequence.condense(TISSUE)
+    pushed = sequence.press(condensed.held.matrix, SHAPES["bar"], travel=0.6)
+    line = along(SOLID, 0.75, MIDDLE, np.array([-1.0, 0.0]))
+    found = population(sequence, condensed, pushed, TISSUE, line)
+    np.testing.assert_allclose(found.strain[:, 1], sequence.feel(pushed, TISSUE).strain[:, 0], rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(

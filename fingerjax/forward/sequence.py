@@ -102,6 +102,14 @@ class Sequence(eqx.Module):
         return Receptor(strain, material.youngs_modulus[self.layer], material.poisson_ratio[self.layer])
 
 
+def population(sequence: Sequence, condensed: AbstractCondensed, pushed: Pushed, material: Material, sites: Sites) -> Receptor:
+    """State of the tissue (poses, m) at any number of places that were not prepared for: maps, lines and sections. Not differentiable."""
+    columns, layer = Recovery(sequence.body).strains(sites.points)
+    u = np.asarray(condensed.displacement(pushed.forces)).reshape(len(pushed.forces), -1)
+    strain = jnp.asarray((columns.T @ u.T).T.reshape(len(u), len(sites), 6))
+    return Receptor(strain, material.youngs_modulus[layer], material.poisson_ratio[layer])
+
+
 # Two programs rather than one: the geometry is compiled for every kind of indenter, the contact once for all of them.
 
 
