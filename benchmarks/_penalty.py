@@ -20,7 +20,7 @@ try:
 except ImportError:  # the extra `direct`
     pypardiso = None
 
-POINTS = 4  # order of the rule on a facet: six points
+POINTS = 2  # order of the rule on a facet: three points, as many as a facet can bear without being over-constrained
 RAISED = 10.0  # by what the penalty grows from one round to the next
 IDLE = 5e-4  # change of force from one round to the next at which the penalty is no longer felt
 

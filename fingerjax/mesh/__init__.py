@@ -27,6 +27,7 @@ __all__ = ["Focus", "Resolution", "build_finger", "build_like", "cache_dir"]
 
 DEFAULT = Resolution()
 MESHER = "columns 1"  # part of every key: raise it when the same input would give another mesh
+REFINER = "chords 1"  # the same for refined meshes alone
 
 
 def build_finger(
@@ -38,7 +39,7 @@ def build_finger(
     `InputError` where the solid cannot be meshed in columns.
     """
     base = content_key(MESHER, solid.digest, resolution)
-    key = content_key(base, solid.name, *focus)
+    key = content_key(base, solid.name, *focus, *([REFINER] if focus else []))
     return finger_of(kept(key, lambda: arrays_of(_built(solid, resolution, focus, base, key))))
 
 
