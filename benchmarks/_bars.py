@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._record import Figure, at_least
-from fingerjax.contact.indenter import Bar
+from fingerjax.contact.indenter import from_spec
 from fingerjax.fem.body import Material
 from fingerjax.finger import Finger
 from fingerjax.forward.sequence import Sequence, check, prepare
@@ -20,7 +20,7 @@ from fingerjax.measure.afferent import rate, start
 from fingerjax.measure.receptor import PAPER_QUANTITIES, QUANTITIES
 from fingerjax.measure.sites import below
 
-BAR = Bar(3.0)
+BAR = from_spec("bar", {"width": 3.0})
 TRAVEL = 1.0  # mm
 POSITIONS = np.round(np.arange(-3.5, 3.51, 0.2), 3)  # mm: those of recording bar_A, one more than the paper's 35
 WINDOWS = ("static", "dynamic")

@@ -11,7 +11,7 @@ from scipy.integrate import quad_vec
 from benchmarks._record import Figure, at_most
 from fingerjax.contact.footprint import interface
 from fingerjax.contact.indentation import press
-from fingerjax.contact.indenter import Cylinder, FlatCylinder, Sphere
+from fingerjax.contact.indenter import from_spec
 from fingerjax.contact.pad import pad
 from fingerjax.fem.body import material
 from fingerjax.forward.sequence import check, prepare
@@ -43,7 +43,7 @@ def sphere(edges: int) -> Iterator[Figure]:
     skin = lattice(int(np.ceil(3.4 * edges)), 1 / edges)
     whole = pad(skin)
     C = jnp.asarray(compliance(skin, np.asarray(whole.nodes), 1 / edges, PLANE_MODULUS, periods=max(24, 6 * edges)))
-    found = [press(C, interface(whole, Sphere(20.0), (x / edges, z / edges)), travel=1 / 20) for x, z in OFFSETS]
+    found = [press(C, interface(whole, from_spec("sphere", {"radius": 20.0}), (x / edges, z / edges)), travel=1 / 20) for x, z in OFFSETS]
     expected = {"force": 4 / 3 * PLANE_MODULUS / 20, "area": np.pi, "peak_pressure": 2 * PLANE_MODULUS / np.pi / 20}
     for name, value in expected.items():
         yield goal(f"Hertz sphere, {name.replace('_', ' ')}", [float(getattr(one, name)) / value - 1 for one in found], edges)
@@ -57,7 +57,7 @@ def cylinder(edges: int) -> Iterator[Figure]:
     line = np.pi * PLANE_MODULUS / (4 * 20)  # N/mm that makes a = 1
     errors, at = [], np.asarray(whole.points)[_vertices(whole)]
     for _, shift in OFFSETS:
-        contact = press(C, interface(whole, Cylinder(20.0), (0.0, shift / edges)), force=5.0 * line)
+        contact = press(C, interface(whole, from_spec("cylinder", {"radius": 20.0}), (0.0, shift / edges)), force=5.0 * line)
         pressure, middle = np.asarray(contact.pressure), np.abs(at[:, 0]) < 0.5 + 1e-9  # rows of hats across the middle millimetre
         rows = len(np.unique(np.round(at[middle, 0], 9)))
         own = float(pressure[middle].sum()) / rows / edges  # N/mm of the rows there
@@ -77,7 +77,7 @@ def _vertices(whole: object) -> np.ndarray:
 def punch(quick: bool) -> Iterator[Figure]:
     """A flat-ended cylinder on a layer bonded below, against the integral equation of Lebedev & Ufliand (1958)."""
     exact, tissue = punch_on_layer(), material(dict.fromkeys(SOFT_LAYERS, E), NU)
-    shape, origin = FlatCylinder(RADIUS), np.array([[0.0, 3.0]])
+    shape, origin = from_spec("flat_cylinder", {"radius": RADIUS}), np.array([[0.0, 3.0]])
     for across in (16,) if quick else (16, 24, 28):
         finger = block((6.0, THICK, 6.0), (across, 4, across))
         sequence = prepare(finger, shape, origin, TRAVEL, bone="held")

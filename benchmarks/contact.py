@@ -22,7 +22,7 @@ from benchmarks._bars import WINDOWS, Bars, measured_bar, sweep, tables
 from benchmarks._penalty import Penalty, straightened
 from benchmarks._record import Figure, at_least, at_most, run
 from fingerjax.contact.footprint import first_contact
-from fingerjax.contact.indenter import AbstractIndenter, Bar, FlatPlate, Step, Tilted
+from fingerjax.contact.indenter import AbstractIndenter, Bar, FlatPlate, Tilted, from_spec
 from fingerjax.contact.pad import pad
 from fingerjax.fem.body import Material, material
 from fingerjax.fem.solver import MultigridCG, direct_available, solver_for
@@ -40,6 +40,7 @@ MIDDLE = SOLID.pad_centre
 DEPTH = 0.75  # mm of the receptor
 LAYERED = material(dict(zip(SOFT_LAYERS, (0.14, 0.014, 0.014, 0.014), strict=True)))
 HOMOGENEOUS = material(dict.fromkeys(SOFT_LAYERS, 0.14))
+ROUNDED = from_spec("bar", {"width": 3.0, "edge_radius": 0.3})
 FORCE = 0.2  # N, 20 gram-force, of the steps
 STEPS = {"step 1": 0.45, "step 3": 1.55, "step 5": 3.13}  # mm: half wavelengths, from steep to gradual; the paper gives none
 
@@ -57,7 +58,7 @@ def other_program(quick: bool) -> Iterator[Figure]:
     """Forces of a plate and a bar on one finger of straight elements, here and by scikit-fem with a penalty."""
     finger = straightened(build_finger(SOLID, Resolution(*((0.7, 2.1) if quick else (0.35, 1.2)))))
     other = Penalty(finger, np.asarray(LAYERED.youngs_modulus), np.asarray(LAYERED.poisson_ratio))
-    for name, shape in {"plate": FlatPlate(), "bar, 0.3 mm edges": Bar(3.0, 0.3)}.items():
+    for name, shape in {"plate": FlatPlate(), "bar, 0.3 mm edges": ROUNDED}.items():
         yield from compared(f"{name}, 0.8 mm deep", other, shape)
 
 
@@ -138,14 +139,14 @@ def steps(quick: bool) -> Iterator[Figure]:
     shifts = np.arange(-4.0, 4.01, 0.8 if quick else 0.2)
     felt = {}
     for name, half in STEPS.items():
-        pushed, sequence = step_sweep(finger, Step(0.5, 2 * half), shifts)
+        pushed, sequence = step_sweep(finger, from_spec("step", {"amplitude": 0.5, "wavelength": 2 * half}), shifts)
         felt[name] = np.asarray(strain_energy_density(sequence.feel(pushed, LAYERED)))[:, 0]
         if name == "step 5":
             yield from opposed(shifts, pushed, felt[name])
     yield from predicted(felt)
 
 
-def step_sweep(finger: Finger, step: Step, shifts: np.ndarray) -> tuple[Pushed, Sequence]:
+def step_sweep(finger: Finger, step: AbstractIndenter, shifts: np.ndarray) -> tuple[Pushed, Sequence]:
     """A step pressed with constant force, its origin `shifts` mm from the receptor."""
     origins = np.column_stack([np.zeros(len(shifts)), MIDDLE + shifts])
     sequence = prepare(finger, step, origins, 2.0, below(SOLID, DEPTH, MIDDLE))
@@ -183,7 +184,7 @@ def predicted(felt: dict[str, np.ndarray]) -> Iterator[Figure]:
 def derivatives(quick: bool) -> Iterator[Figure]:
     """Slopes against differences of force, mean pressure and rate in all that can be chosen, on the monkey; largest relative error."""
     finger = build_finger(SOLID, Resolution(*((0.9, 2.7) if quick else (0.7, 2.1))))
-    few = prepare(finger, Bar(3.0, 0.3), np.array([[0.0, MIDDLE - 1.0]]), 0.8, below(SOLID, DEPTH, MIDDLE), bone="held", solver="multigrid")
+    few = prepare(finger, ROUNDED, np.array([[0.0, MIDDLE - 1.0]]), 0.8, below(SOLID, DEPTH, MIDDLE), bone="held", solver="multigrid")
     C = few.compliance(LAYERED)
 
     def read(pushed: Pushed, tissue: Material, deeper: Array) -> Array:
@@ -197,7 +198,7 @@ def derivatives(quick: bool) -> Iterator[Figure]:
     def softened(v: Array) -> Array:
         layers = jnp.concatenate([v, jnp.ones(1)])
         tissue = Material(LAYERED.youngs_modulus * layers, LAYERED.poisson_ratio)
-        return read(few.press(few.compliance(tissue), Bar(3.0, 0.3), travel=0.6), tissue, jnp.zeros(()))
+        return read(few.press(few.compliance(tissue), ROUNDED, travel=0.6), tissue, jnp.zeros(()))
 
     names = ("depth", "place across", "place along", "pitch", "width", "edge radius", "receptor depth")
     yield from slopes(posed, jnp.array([0.6, 0.02, 0.03, 0.02, 2.95, 0.3, 0.0]), 2e-6, names)

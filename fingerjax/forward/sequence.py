@@ -84,7 +84,7 @@ class Sequence(eqx.Module):
         *,
         travel: Float[ArrayLike, "..."] | None = None,
         force: Float[ArrayLike, "..."] | None = None,
-        offset: Float[ArrayLike, "2"] = (0.0, 0.0),
+        offset: Float[ArrayLike, "2"] | tuple[float, float] = (0.0, 0.0),
     ) -> Pushed:
         """Press at every origin, to a travel in mm from first contact or with a force in N: one for all, or one for each.
 
