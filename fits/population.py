@@ -1,6 +1,6 @@
 """What a population of receptors feels: strain energy density 0.75 mm below the skin, and in section, under a bar and under a step.
 
-    python fits/population.py [--out build/population] [--pad-mm 0.3]
+    python -m fits.population [--out build/population] [--pad-mm 0.3]
 
 Writes, for each stimulus, a map over the skin, the same map as a surface in three dimensions, a section along the middle of the finger,
 and the numbers that they were drawn from.
