@@ -184,7 +184,7 @@ def predicted(felt: dict[str, np.ndarray]) -> Iterator[Figure]:
 def derivatives(quick: bool) -> Iterator[Figure]:
     """Slopes against differences of force, mean pressure and rate in all that can be chosen, on the monkey; largest relative error."""
     finger = build_finger(SOLID, Resolution(*((0.9, 2.7) if quick else (0.7, 2.1))))
-    few = prepare(finger, ROUNDED, np.array([[0.0, MIDDLE - 1.0]]), 0.8, below(SOLID, DEPTH, MIDDLE), bone="held", solver="multigrid")
+    few = prepare(finger, ROUNDED, np.array([[0.0, MIDDLE - 1.0]]), 0.8, below(SOLID, DEPTH, MIDDLE), bone="held")
     C = few.compliance(LAYERED)
 
     def read(pushed: Pushed, tissue: Material, deeper: Array) -> Array:
