@@ -46,12 +46,12 @@ class Recovery:
         Raises ValueError where a point lies in no element.
         """
         found = [self._at(np.asarray(point, float), None) for point in points]
-        return _hstack([columns for columns, _ in found], self.nodes), np.array([layer for _, layer in found])
+        return self._columns(found), np.array([layer for *_, layer in found], dtype=int)
 
     def slopes(self, points: np.ndarray, directions: np.ndarray) -> sp.csc_matrix:
         """Columns (3n, 6 m) that read how the same strains change along unit `directions` (m, 3), per mm: of the same polynomials."""
         pairs = zip(np.asarray(points, float), np.asarray(directions, float), strict=True)
-        return _hstack([self._at(point, direction)[0] for point, direction in pairs], self.nodes)
+        return self._columns([self._at(point, direction) for point, direction in pairs])
 
     def patch(self, element: int) -> np.ndarray:
         """Nodes (k,) of an element, of the elements of its layer that touch it, and of theirs, until they are enough for a cubic."""
@@ -64,28 +64,32 @@ class Recovery:
             found = grown
         return found
 
-    def _at(self, point: np.ndarray, direction: np.ndarray | None) -> tuple[sp.csc_matrix, int]:
+    def _at(self, point: np.ndarray, direction: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, int]:
+        """Nodes (k,) around a point, their weights (k, 3) in the slopes there, and its layer."""
         element, _ = self.locate(point)
         around = self.patch(element)
         away = self.nodes[around] - point
         size = np.linalg.norm(away, axis=1).max()
         slopes = fitted_slopes(away / size, direction) / (size if direction is None else size**2)
-        columns = sp.lil_matrix((3 * len(self.nodes), 6))
-        for row, (i, j) in enumerate(VOIGT):
-            columns[3 * around + i, row] = slopes[:, [j]]
-            if i != j:
-                columns[3 * around + j, row] = slopes[:, [i]]
-        return columns.tocsc(), int(self.layer[element])
+        return around, slopes, int(self.layer[element])
+
+    def _columns(self, found: list[tuple[np.ndarray, np.ndarray, int]]) -> sp.csc_matrix:
+        """Six columns for each of a few points, in one go: most maps have thousands."""
+        parts = []
+        for number, (around, slopes, _) in enumerate(found):
+            for column, (i, j) in enumerate(VOIGT):
+                at = np.full(len(around), 6 * number + column)
+                parts.append((3 * around + i, at, slopes[:, j]))
+                if i != j:
+                    parts.append((3 * around + j, at, slopes[:, i]))
+        rows, columns, data = (np.concatenate(each) for each in zip(*parts, strict=True)) if parts else (np.zeros(0, int),) * 3
+        return sp.csc_matrix((data, (rows, columns)), shape=(3 * len(self.nodes), 6 * len(found)))
 
 
 def strain_columns(body: Body, point: np.ndarray) -> tuple[sp.csc_matrix, int]:
     """Six columns (3n, 6) that read the strain at one `point` (3,), mm, and the layer it lies in. Raises ValueError outside the body."""
     columns, layers = Recovery(body).strains(np.asarray(point, float)[None])
     return columns, int(layers[0])
-
-
-def _hstack(parts: list[sp.csc_matrix], nodes: np.ndarray) -> sp.csc_matrix:
-    return sp.csc_matrix(sp.hstack(parts)) if parts else sp.csc_matrix((3 * len(nodes), 0))
 
 
 def fitted_slopes(away: np.ndarray, direction: np.ndarray | None = None) -> np.ndarray:
