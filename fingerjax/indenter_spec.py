@@ -10,7 +10,7 @@
 | `sphere` | `radius_mm` |
 | `cylinder` | lying on its side: `radius_mm` |
 | `flat_cylinder` | standing on its end: `radius_mm` [`edge_radius_mm`] |
-| `grating` | `ridge_mm`, `groove_mm`: numbers if it repeats, or lists, grooves between [`edge_radius_mm`] |
+| `grating` | `ridge_mm`, `groove_mm`: numbers if it repeats, or lists, grooves between [`edge_radius_mm`]; or ridge and `period_mm` |
 | `profile` | `data`: a CSV of `height_mm` against `position_mm` |
 
 Shapes that lie along an axis take `along: x` (across the finger) or `along: z`; `across:` a remark means
@@ -101,6 +101,7 @@ def read_indenter(said: Any, *, direction: str = "z", folder: Path = Path(".")) 
     if name not in SHAPES:
         raise InputError("unknown indenter shape", place="shape", seen=name, remedy=choose_from(name, SHAPES))
     shape = SHAPES[name]
+    said = _with_groove(said) if name == "grating" else said
     lengths = _lengths(name, shape, said)
     along = _along(said, direction) if shape.lies_along else ""
     lists = {key: _list(*lengths[key]) for key in shape.lists if key in lengths and _is_list(lengths[key][2])}
@@ -123,6 +124,24 @@ def _lengths(name: str, shape: _Shape, said: Mapping[str, Any]) -> dict[str, tup
             remedy = choose_from(key, allowed)
             raise InputError(f"unknown key for the indenter {name!r}", place=str(key), remedy=remedy)
     return found
+
+
+def _with_groove(said: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A grating of which the period is given, said as ridge and groove. Both must be single lengths in one unit."""
+    written = {split_unit(str(key))[0]: str(key) for key in said}
+    if "period" not in written:
+        return said
+    key, ridge = written["period"], written.get("ridge", "")
+    if "groove" in written:
+        raise InputError("period and groove of a grating say the same", place=key, remedy=f"keep one of {key} and {written['groove']}")
+    unit = split_unit(key)[1]
+    if ridge and split_unit(ridge)[1] != unit:
+        raise InputError("ridge and period have different units", place=key, remedy=f"write both in {unit}")
+    period, width = _length(key, str(unit), said[key]), _length(ridge, str(unit), said[ridge]) if ridge else 0.0
+    if width >= period:
+        remedy = "write a ridge narrower than its period"
+        raise InputError("the ridge is as wide as its period or wider", place=ridge, seen=said[ridge], remedy=remedy)
+    return {**{name: value for name, value in said.items() if name != key}, f"groove_{unit}": said[key] - said.get(ridge, 0.0)}
 
 
 def _length(key: str, unit: str, value: Any, *, zero: bool = False) -> float:

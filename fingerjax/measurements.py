@@ -25,7 +25,7 @@ from .indenter_spec import IndenterSpec, read_indenter
 from .spelling import choose_from
 from .strict import Number, Positive, Strict, checked
 from .tidy import LABELS, QUANTITIES, Tidy
-from .units import internal_unit, to_internal
+from .units import internal_unit, split_unit, to_internal
 from .yamlfile import Document, Keys, Origin, located, read_yaml, said_in_python
 
 Kind = Literal["deflection_profile", "force_displacement", "spike_rate"]
@@ -71,6 +71,7 @@ class SidecarKeys(Strict):
     where: dict[str, Any] = {}
     drop: dict[str, Any] | list[dict[str, Any]] = {}
     units: dict[str, str] = {}
+    every: dict[str, Number | str] = {}  # what holds for every row and the table does not repeat, as in depth_mm: 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,7 +175,7 @@ def read_measurement(
     origin = _layered(said, origin, sidecar, file)
     below = sidecar.content if sidecar else {}
     keys = checked(SidecarKeys, _with_kind({**below, **said}, file), origin)
-    table = _rows(read_table(file), keys, origin)
+    table = _rows(_repeated(read_table(file), keys, origin), keys, origin)
     tidy = Tidy(table, keys.columns, keys.units)
     with located(origin, "columns"):
         tidy.check_columns()
@@ -215,6 +216,18 @@ def _with_kind(said: dict[str, Any], file: Path) -> dict[str, Any]:
         kinds = "deflection_profile, force_displacement or spike_rate"
         raise InputError(f"nothing says what kind of measurement this is: {kinds}", file=file, remedy=remedy)
     return said
+
+
+def _repeated(table: Table, keys: SidecarKeys, origin: Origin) -> Table:
+    """The table with a column for each key of `every`."""
+    for name in keys.every:
+        with located(origin, "every"):
+            if split_unit(name)[0] not in (*QUANTITIES, *LABELS):
+                raise InputError("not one of our columns", place=name, remedy=choose_from(name, [*QUANTITIES, *LABELS]))
+            if name in table.cells:
+                raise InputError("the table has this column itself", place=name, remedy="leave it out of every")
+    said = {name: [str(value)] * len(table) for name, value in keys.every.items()}
+    return dataclasses.replace(table, cells={**table.cells, **said})
 
 
 def _rows(table: Table, keys: SidecarKeys, origin: Origin) -> Table:

@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from fingerjax.fem.body import Material, material
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.compliance import compliance, displacement
-from fingerjax.fem.locate import strain_columns
 from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.operator import internal_force
+from fingerjax.fem.recovery import strain_columns
 from fingerjax.fem.solver import MultigridCG, direct_available, solver_for
 
 from .fem_tools import cube_body

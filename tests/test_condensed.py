@@ -12,7 +12,7 @@ from fingerjax.fem.cholesky import Cholesky
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.condensed import ByColumns, ByFactor, probe
 from fingerjax.fem.factorised import PARTIAL_FROM
-from fingerjax.fem.locate import strain_columns
+from fingerjax.fem.recovery import strain_columns
 from fingerjax.fem.solver import direct_available, solver_for
 
 from .fem_tools import cube_body

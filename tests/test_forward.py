@@ -93,9 +93,10 @@ def solver_kind() -> str:
 
 @pytest.fixture(scope="module", autouse=True)
 def coarse_wedge() -> Iterator[None]:
-    """No refinement under the wedge: a spacing above the pad's own asks for none."""
+    """No refinement under the wedge and around the receptor: a spacing above the pad's own asks for none."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rigs, "LINE_SPACING", 2.0)
+        patch.setattr(rigs, "RECEPTOR_SPACING", 4.0)
         yield
 
 

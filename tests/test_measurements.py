@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from fingerjax.csvfile import read_table
 from fingerjax.errors import InputError
+from fingerjax.forward.rigs import indenter_from
 from fingerjax.indenter_spec import SHAPES, IndenterSpec, read_indenter
 from fingerjax.measurements import Receptor, Site, read_measurement
 
@@ -483,3 +484,32 @@ def test_published_forces_load_without_a_sidecar():
     }
     one = read_measurement(DATA / "human-fingerpad-force-depth" / "force_depth.csv", said)
     assert set(one.table["subject"]) == {"1", "3"} and (one.sigma > 0).all()
+
+
+def test_a_grating_may_say_its_period():
+    spec = read_indenter({"shape": "grating", "ridge_mm": 1, "period_mm": 3})
+    assert spec.dimensions["groove"] == 2.0
+    with pytest.raises(InputError, match="as wide as its period"):
+        read_indenter({"shape": "grating", "ridge_mm": 3, "period_mm": 3})
+    with pytest.raises(InputError, match="say the same"):
+        read_indenter({"shape": "grating", "ridge_mm": 1, "period_mm": 3, "groove_mm": 2})
+
+
+def test_shapes_with_lists_become_indenters(tmp_path):
+    (tmp_path / "ramp.csv").write_text("position_mm,height_mm\n-1,0\n0,0.2\n1,-0.1\n")
+    ramp = indenter_from(read_indenter({"shape": "profile", "data": "ramp.csv"}, folder=tmp_path))
+    assert float(ramp.height(0.0, 1.0)) == pytest.approx(-0.3)
+    ridges = indenter_from(read_indenter({"shape": "grating", "ridge_mm": [1, 2], "groove_mm": [0.5]}))
+    assert bool(ridges.covers(0.0, 2.9)) and not bool(ridges.covers(0.0, 0.7))
+
+
+def test_what_holds_for_every_row_is_said_once(tmp_path):
+    (tmp_path / "rates.csv").write_text("x_mm,rate_ips\n-1,3\n1,4\n")
+    said = {"kind": "spike_rate", "indenter": "flat_plate", "columns": {"position_mm": "x_mm"}, "every": {"depth_um": 800}}
+    said["receptor"] = {"depth_mm": 0.75, "z_mm": 8, "theta_deg": 270}
+    assert read_measurement(tmp_path / "rates.csv", said).table["depth"].tolist() == [0.8, 0.8]
+    for every, word in (({"deepness_mm": 1}, "not one of our columns"), ({"x_mm": 1}, "not one of our columns")):
+        with pytest.raises(InputError, match=word):
+            read_measurement(tmp_path / "rates.csv", {**said, "every": every})
+    with pytest.raises(InputError, match="the table has this column itself"):
+        read_measurement(tmp_path / "rates.csv", {**said, "every": {"depth_mm": 1, "rate_ips": 2}})

@@ -46,13 +46,22 @@ def test_derivatives_are_finite_at_repeated_principal_values(name):
         assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slope))
 
 
-@pytest.mark.parametrize("name", felt.QUANTITIES)
+@pytest.mark.parametrize("name", felt.EVERY)
 def test_derivatives_agree_with_differences(name):
     def value(e, m):
-        return felt.QUANTITIES[name](felt.Receptor(e, m, jnp.asarray(NU)))
+        return felt.EVERY[name](felt.Receptor(e, m, jnp.asarray(NU)))
 
     strain, modulus = jnp.array([0.01, -0.02, 0.004, 0.003, -0.006, 0.008]), jnp.asarray(E)
     check_grads(value, (strain, modulus), order=1, modes=("fwd", "rev"), eps=1e-5, rtol=1e-5, atol=1e-9)
+
+
+def test_components_are_what_they_are_called():
+    one = at(0.01, -0.02, 0.004, 0.003, -0.006, 0.008)
+    lam, mu = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
+    assert float(felt.COMPONENTS["strain_xz"](one)) == -0.006 and felt.UNITS["strain_xz"] == "1"
+    assert float(felt.COMPONENTS["stress_yy"](one)) == pytest.approx(lam * -0.006 + 2 * mu * -0.02)
+    assert float(felt.COMPONENTS["stress_xy"](one)) == pytest.approx(mu * 0.008) and felt.UNITS["stress_xy"] == "MPa"
+    assert len(felt.EVERY) == 18
 
 
 def test_many_receptors_at_once():

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .footprint import first_contact
+from ..errors import InputError
+from .footprint import FAR, first_contact
 from .indenter import AbstractIndenter
 from .pad import Pad, SkinMesh, border, of_facets, pad, renumbered
 from .triangle import SAMPLED
@@ -30,19 +31,31 @@ class Indentation:
 
 
 def pad_for(finger: SkinMesh, indentations: Sequence[Indentation]) -> Pad:
-    """The skin that any of `indentations` can reach, with a rim of facets to spare."""
+    """The skin that any of `indentations` can reach, with a rim of facets to spare.
+
+    **Raises:** `InputError` for an indentation that no skin is under.
+    """
     whole = pad(finger)
-    chosen = np.any([_reached(whole, one) for one in indentations], axis=0)
+    reached = [_reached(whole, one) for one in indentations]
+    for one, facets in zip(indentations, reached, strict=True):
+        if not facets.any():
+            x0, x1, z0, z1 = (round(value, 3) for value in whole.box)
+            remedy = f"bring its origin over the pad, x {x0} to {x1} and z {z0} to {z1} mm"
+            shape = type(one.indenter).__name__
+            raise InputError(f"the indenter ({shape}) never touches the skin", place="origin", seen=one.origin, remedy=remedy)
+    chosen = np.any(reached, axis=0)
     return of_facets(np.asarray(finger.nodes, float), np.asarray(whole.nodes)[np.asarray(whole.facets)[chosen]])
 
 
-def windows(whole: Pad, indentations: Sequence[Indentation]) -> Pad:
-    """One small pad for each indentation, cut from `whole` and stacked along a leading axis, for `jax.vmap`.
+def windows(whole: Pad, indentations: Sequence[Indentation | Sequence[Indentation]]) -> Pad:
+    """One small pad for each indentation, cut from `whole` and stacked along a leading axis, for `jax.vmap`; one for several where they
+    come as a list.
 
     `columns` says which of the whole pad's nodes each window has. Short windows are filled up with facets of
     no area.
     """
-    cuts = [_cut(whole, np.flatnonzero(_reached(whole, one))) for one in indentations]
+    together = [[each] if isinstance(each, Indentation) else each for each in indentations]
+    cuts = [_cut(whole, np.flatnonzero(np.any([_reached(whole, one) for one in each], axis=0))) for each in together]
     arrays = [_stacked([cut[name] for cut in cuts], name in NOTHING_THERE) for name in cuts[0]]
     return jax.tree.unflatten(jax.tree.structure(whole), arrays)
 
@@ -51,7 +64,9 @@ def _reached(whole: Pad, one: Indentation) -> np.ndarray:
     """Facets that the indenter comes near to within its travel, and their neighbours."""
     facets, points = np.asarray(whole.facets), np.asarray(whole.points)
     at = np.einsum("sa,fai->fsi", SAMPLED, points[facets])
-    margin, gap = map(np.asarray, _clearance(whole, one.indenter, jnp.asarray(np.asarray(one.origin, float)), jnp.asarray(at)))
+    margin, gap, lowest = map(np.asarray, _clearance(whole, one.indenter, jnp.asarray(np.asarray(one.origin, float)), jnp.asarray(at)))
+    if not lowest < 0.5 * FAR:
+        return np.zeros(len(facets), bool)
     size = np.ptp(at[..., 0], axis=1) + np.ptp(at[..., 2], axis=1)
     touched = np.any((margin > -size[:, None]) & (gap < SPARE * one.travel), axis=1)
     return np.any(np.isin(facets, facets[touched]), axis=1)
@@ -60,11 +75,11 @@ def _reached(whole: Pad, one: Indentation) -> np.ndarray:
 @eqx.filter_jit
 def _clearance(
     whole: Pad, indenter: AbstractIndenter, origin: Float[Array, "2"], at: Float[Array, "f s 3"]
-) -> tuple[Float[Array, "f s"], Float[Array, "f s"]]:
+) -> tuple[Float[Array, "f s"], Float[Array, "f s"], Float[Array, ""]]:
     """The margin over each place, and the travel from first contact at which the undeformed skin there is met."""
     lowest = first_contact(whole, indenter, (origin[0], origin[1]))
     x, z = at[..., 0] - origin[0], at[..., 2] - origin[1]
-    return jnp.broadcast_to(indenter.margin(x, z), x.shape), at[..., 1] - indenter.surface(x, z) - lowest
+    return jnp.broadcast_to(indenter.margin(x, z), x.shape), at[..., 1] - indenter.surface(x, z) - lowest, lowest
 
 
 def _cut(whole: Pad, chosen: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,33 +1,38 @@
-"""Where a point lies in a body, and the strain there as a linear reading of the displacement."""
+"""Which element of a body a point lies in, and where in it."""
 
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from . import element
-from .body import Body
 
-VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy; shears are engineering strains
 INSIDE = 1e-6  # barycentric slack for a point on a face
 
 
-def locate(body: Body, point: np.ndarray) -> tuple[int, np.ndarray]:
-    """The element that holds `point` (3,), mm, and the point's reference coordinates in it.
+class Locator:
+    """Finds points among the elements of a mesh: `nodes` (n, 3) mm, `tets` (e, 4 or 10)."""
 
-    Candidates come from the straight tetrahedra on the corners, nearest first; Newton's method then undoes the curved map.
-    Raises ValueError where the point lies in no element.
-    """
-    tets, nodes = np.asarray(body.tets), np.asarray(body.nodes)
-    corners = nodes[tets[:, :4]]
-    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-    reference = np.linalg.solve(edges, (point - corners[:, 0])[..., None])[..., 0]
-    worst = element.barycentric(reference).min(axis=1)
-    for candidate in np.argsort(-worst)[:24]:
-        local = _undo_map(nodes[tets[candidate]], body.order, point, reference[candidate])
-        if element.barycentric(local[None]).min() >= -INSIDE:
-            return int(candidate), local
-    raise ValueError(f"the point {np.round(point, 3).tolist()} mm lies outside the meshed tissue; check the receptor's depth and site")
+    def __init__(self, nodes: np.ndarray, tets: np.ndarray):
+        self.nodes, self.tets = nodes, tets
+        self.order = 1 if tets.shape[1] == 4 else 2
+        corners = nodes[tets[:, :4]]
+        self._first = corners[:, 0]
+        self._inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+
+    def __call__(self, point: np.ndarray) -> tuple[int, np.ndarray]:
+        """The element that holds `point` (3,), mm, and the point's reference coordinates in it.
+
+        Candidates come from the straight tetrahedra on the corners, nearest first; Newton's method then undoes the curved map.
+        Raises ValueError where the point lies in no element.
+        """
+        reference = np.einsum("eij,ej->ei", self._inverse, point - self._first)
+        worst = element.barycentric(reference).min(axis=1)
+        for candidate in np.argsort(-worst)[:24]:
+            local = _undo_map(self.nodes[self.tets[candidate]], self.order, point, reference[candidate])
+            if element.barycentric(local[None]).min() >= -INSIDE:
+                return int(candidate), local
+        place = np.round(point, 3).tolist()
+        raise ValueError(f"the point {place} mm lies outside the meshed tissue; check the receptor's depth and site")
 
 
 def _undo_map(nodes: np.ndarray, order: int, point: np.ndarray, local: np.ndarray) -> np.ndarray:
@@ -38,18 +43,3 @@ def _undo_map(nodes: np.ndarray, order: int, point: np.ndarray, local: np.ndarra
         if np.abs(step).max() < 1e-13:
             break
     return local
-
-
-def strain_columns(body: Body, point: np.ndarray) -> tuple[sp.csc_matrix, int]:
-    """Six columns (3n, 6) that read the strain at `point`, in Voigt order with engineering shears, and the layer it lies in."""
-    where, local = locate(body, point)
-    nodes = np.asarray(body.tets)[where]
-    slopes = element.slopes(local[None], body.order)[0]
-    gradient = slopes @ np.linalg.inv(np.asarray(body.nodes)[nodes].T @ slopes)
-    columns = sp.lil_matrix((3 * len(body.free), 6))
-    for row, (i, j) in enumerate(VOIGT):
-        for node, slope in zip(nodes, gradient, strict=True):
-            columns[3 * node + i, row] += slope[j]
-            if i != j:
-                columns[3 * node + j, row] += slope[i]
-    return columns.tocsc(), int(np.asarray(body.layer)[where])

@@ -7,7 +7,7 @@ that each indentation is a small dense contact problem, and each reading a produ
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -132,7 +132,31 @@ class Assembled:
         blocks = {one.name: slice(int(a), int(b)) for one, a, b in zip(self.study.measurements, ends[:-1], ends[1:], strict=True)}
         if known:
             blocks["prior"] = slice(int(ends[-1]), int(ends[-1]) + len(known))
-        return Problem(parameters, residuals, blocks, {name: source for name, (_, source) in noise.items()}, residuals.prepared)
+        sources = {name: source for name, (_, source) in noise.items()}
+        return Problem(parameters, residuals, blocks, sources, residuals.prepared, self._reseat(parameters))
+
+    def _reseat(self, parameters: tuple[Parameter, ...]) -> Callable[[np.ndarray], np.ndarray] | None:
+        """The best scale and threshold of every afferent whose two are free, have no prior, and are shared with no other."""
+        names = [one.name for one in parameters]
+        shared = {name for group in self.study.fit.tie for name in group} | set(self.study.fit.priors)
+        alone = {
+            index: (names.index(f"{one.name}.scale"), names.index(f"{one.name}.threshold"))
+            for index, one in enumerate(self.study.measurements)
+            if {f"{one.name}.scale", f"{one.name}.threshold"} <= set(names) - shared
+        }
+
+        def reseated(raw: np.ndarray) -> np.ndarray:
+            felt = self.predict({one.name: float(one.natural(each)) for one, each in zip(parameters, raw, strict=True)}).quantity
+            best = np.array(raw, float)
+            for index, places in alone.items():
+                one, quantity = self.study.measurements[index], np.asarray(felt[index])
+                if not np.ptp(quantity) > 0:
+                    continue
+                for place, value in zip(places, start(quantity, one.measured, 1 / noise_of(one)[0] ** 2), strict=True):
+                    best[place] = _within(parameters[place], value).raw()
+            return best
+
+        return reseated if alone else None
 
     def _started(self) -> tuple[Parameter, ...]:
         rates = [(index, one) for index, one in enumerate(self.study.measurements) if one.kind == "spike_rate"]
@@ -150,6 +174,10 @@ def _begin(parameter: Parameter, begun: Mapping[str, float]) -> Parameter:
     value = begun.get(parameter.path)
     if value is None:
         return parameter
+    return _within(parameter, value)
+
+
+def _within(parameter: Parameter, value: float) -> Parameter:
     return dataclasses.replace(parameter, value=float(np.clip(value, 10 * parameter.lower, 0.1 * parameter.upper)))
 
 

@@ -38,6 +38,8 @@ class Problem:
     - `sigma_source`: for each measurement `stated`, `replicates` or `assumed`.
     - `prepare`: for one raw vector, residuals that hold there and whose derivatives do: what needs no derivative (the linear
       solves) is done before anything is traced. None where the residuals are cheap as they are.
+    - `reseat`: for one raw vector, the same with the values that can be found exactly for the others (scale and threshold of an
+      afferent) replaced by the best ones: where nothing fires, no slope leads back. None where there are none.
     """
 
     parameters: tuple[Parameter, ...]
@@ -45,6 +47,7 @@ class Problem:
     blocks: dict[str, slice]
     sigma_source: dict[str, str]
     prepare: Callable[[Array], Callable[[Array], tuple[Array, Health]]] | None = None
+    reseat: Callable[[np.ndarray], np.ndarray] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..contact.indentation import Contact
 from ..fem.body import Material
 from ..measure.afferent import rate
-from ..measure.receptor import QUANTITIES
+from ..measure.receptor import EVERY
 from ..measure.receptor import Receptor as ReceptorState
 from .pressing import Known, pressed
 from .problem import Health
@@ -54,7 +54,7 @@ class Instruments(eqx.Module):
     def read(self, known: Known, values: Values, quantity: str = "strain_energy_density") -> Prediction:
         """Every reading at values where the solves are known; names that are missing keep the study's own.
 
-        `quantity` names what the receptor is taken to feel, one of `measure.receptor.QUANTITIES`.
+        `quantity` names what the receptor is taken to feel, one of `measure.receptor.EVERY`.
         """
         away = known.away([tissue.lame() for tissue in self.materials(values)])
         readings = [jnp.zeros(length) for length in self.lengths]
@@ -88,7 +88,7 @@ class Instruments(eqx.Module):
         tissues = self.materials(values)
         E = jnp.stack([tissue.youngs_modulus[layer] for tissue in tissues])[rig.variant[rig.case]]
         nu = jnp.stack([tissue.poisson_ratio[layer] for tissue in tissues])[rig.variant[rig.case]]
-        felt = QUANTITIES[quantity](ReceptorState(strain, E, nu))
+        felt = EVERY[quantity](ReceptorState(strain, E, nu))
         return self._rate(rig, felt, values), felt
 
     def _rate(self, rig: Rig, felt: Array, values: Values) -> Array:

@@ -18,7 +18,7 @@ from ..contact.pad import Pad, functionals
 from ..contact.reach import Indentation, pad_for, windows
 from ..errors import InputError
 from ..fem.body import Body
-from ..fem.locate import strain_columns
+from ..fem.recovery import strain_columns
 from ..finger import Finger
 from ..geometry.sections import LayeredSolid
 from ..indenter_spec import IndenterSpec
@@ -73,9 +73,7 @@ class Plan:
 
 def indenter_from(spec: IndenterSpec) -> AbstractIndenter:
     """The rigid shape that a sidecar describes."""
-    table = (spec.lists["position"], spec.lists["height"]) if "position" in spec.lists else None
-    dimensions = {**spec.dimensions, **{name: value for name, value in spec.lists.items() if name in ("ridge", "groove")}}
-    return from_spec(spec.shape, dimensions, spec.along or "x", table)  # type: ignore[arg-type]
+    return from_spec(spec.shape, spec.dimensions, spec.along or "x", spec.lists)
 
 
 def site(solid: LayeredSolid, measurement: Measurement) -> tuple[float, float]:
@@ -142,12 +140,16 @@ def _receptor(measurement: Measurement) -> Receptor:
 
 LINE_SPACING = 0.2  # mm: a wedge is a singular line, its profile beside the load wants a few nodes to the millimetre
 PROBE_SPACING = 0.25  # of the probe's radius
+RECEPTOR_SPACING, RECEPTOR_PATCH = 0.25, 1.4  # of its depth: strain that deep varies over as much as the depth, along the skin and down
 
 
 def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[Focus, ...]:
-    """Where the mesh must be finer than the pad's own spacing: under wedges, and under probes smaller than it."""
+    """Where the mesh must be finer than the pad's own spacing: under wedges, under probes smaller than it, and around receptors."""
     found: dict[Focus, None] = {}
     for plan in planned:
+        if plan.measurement.kind == "spike_rate":
+            at = _receptor(plan.measurement)
+            found[Focus("point", at.z, at.theta, RECEPTOR_SPACING * at.depth, RECEPTOR_PATCH * at.depth, growth=0.8)] = None
         for x, z in plan.origins:
             if isinstance(plan.indenter, Line):
                 found[_line_focus(plan.indenter, solid, x, z, plan.deepest)] = None

@@ -29,6 +29,7 @@ from .walk import Secant, Walk
 
 NEAR = 1e-3  # standard errors from the optimum at which a fit that cannot go on counts as arrived
 LEVEL = 0.1  # relative gradient from which on the secant may be asked: far from an optimum it misleads
+SEATINGS = 3  # times a settled fit is asked whether its afferents could be seated better
 REFUSED = 10  # failed evaluations in all after which a fit gives up
 
 
@@ -205,12 +206,38 @@ def fit(
     `Fit.values` are NaN and the best point so far is kept in `Fit.raw`. A trial point whose solves failed is
     never accepted.
 
+    A threshold makes chi2 flat where nothing fires and gives it several minima. So scale and threshold of an afferent are begun from, and
+    once settled compared with, the best of all for the other values (`Problem.reseat`).
+
     Levenberg (1944); Marquardt (1963); column scaling as in Moré (1978), section 6.
     """
     if not problem.parameters:
         raise ValueError("problem has no free parameters: name at least one under fit.free")
     evaluate, box = evaluator(problem), Box.around(problem.parameters)
-    first = np.clip(problem.start() if start is None else np.asarray(start, float), box.lower, box.upper)
+    first = _seated(problem, box, problem.start() if start is None else np.asarray(start, float))
+    found = _fitted(problem, evaluate, box, first, max_steps, gradient_tolerance, progress)
+    for _ in range(SEATINGS if problem.reseat is not None and found.settled else 0):
+        better = _seated(problem, box, found.raw)
+        if np.abs(better - found.raw).max() < 1e-6 or evaluate(better).chi2 >= found.chi2 * (1 - 1e-6):
+            break
+        found = _fitted(problem, evaluate, box, better, max_steps, gradient_tolerance, progress)
+    return found
+
+
+def _seated(problem: Problem, box: Box, raw: np.ndarray) -> np.ndarray:
+    inside = np.clip(raw, box.lower, box.upper)
+    return inside if problem.reseat is None else np.clip(problem.reseat(inside), box.lower, box.upper)
+
+
+def _fitted(
+    problem: Problem,
+    evaluate: Callable[[np.ndarray], Point],
+    box: Box,
+    first: np.ndarray,
+    max_steps: int,
+    gradient_tolerance: float,
+    progress: Callable[[Step], object] | None,
+) -> Fit:
     with _interruptible() as asked:
         clock = time.perf_counter()
         record = _Record(problem, box, evaluate(first), progress=progress)

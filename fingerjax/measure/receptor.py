@@ -90,7 +90,20 @@ QUANTITIES: dict[str, Callable[[Receptor], Scalar]] = {
     "maximum_shear_stress": maximum_shear_stress,
 }
 PAPER_QUANTITIES = tuple(QUANTITIES)[:4]
-UNITS = {name: "1" if name == "maximum_compressive_strain" else "MPa" for name in QUANTITIES}
+AXES = ("xx", "yy", "zz", "yz", "xz", "xy")
+
+
+def _component(kind: str, number: int) -> Callable[[Receptor], Scalar]:
+    return lambda receptor: getattr(receptor, kind)[..., number]
+
+
+COMPONENTS: dict[str, Callable[[Receptor], Scalar]] = {
+    f"{kind}_{axes}": _component(kind, number) for kind in ("strain", "stress") for number, axes in enumerate(AXES)
+}
+"""Single components, `strain_yy` or `stress_xz`: tension positive, shear strains engineering ones."""
+
+EVERY = QUANTITIES | COMPONENTS
+UNITS = {name: "1" if "strain" in name and "energy" not in name else "MPa" for name in EVERY}
 
 
 def _principal(voigt: Voigt, shear: float) -> Float[Array, "*b 3"]:

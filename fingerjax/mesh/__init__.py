@@ -35,6 +35,7 @@ DEFAULT = Resolution()
 MESHER = "columns 2"  # part of every key: raise it when the same input would give another mesh
 NESTED = "nested 2"
 PAPER = {"monkey": Resolution(), "monkey fine": Resolution(0.17, 1.0), "human": Resolution(0.9)}  # about 8,500, 29,000 and 8,500 nodes
+REFINER = "chords 1"  # the same for refined meshes alone
 
 
 def build_finger(
@@ -55,7 +56,7 @@ def build_finger(
         key = content_key(NESTED, solid.digest, resolution, solid.name, *focus, *again)
         return finger_of(kept(key, lambda: arrays_of(nested(solid, resolution, focus, key))))
     base = content_key(MESHER, solid.digest, resolution, *again)
-    key = content_key(base, solid.name, *focus)
+    key = content_key(base, solid.name, *focus, *([REFINER] if focus else []))
     return finger_of(kept(key, lambda: arrays_of(_built(solid, resolution, focus, base, key))))
 
 

@@ -19,9 +19,10 @@ from scipy.spatial import cKDTree
 from fingerjax.errors import InputError
 from fingerjax.geometry.sections import LayeredSolid
 from fingerjax.mesh.columns import INSIDE, Columns
-from fingerjax.mesh.topology import boundary, edges
+from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
 PASSES = 400
+FLATTEST = 0.1  # of a cut element's volume, that each half must keep: on the chord it is a half
 
 
 @dataclass(frozen=True)
@@ -171,6 +172,11 @@ def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray)
     keep = np.ones(len(mesh.tets), bool)
     keep[element] = False
     vertices = np.concatenate([mesh.vertices, position])
+    # Where edges are long beside the radius of an interface, a vertex put onto it can fold an element: it stays on its chord there.
+    least = FLATTEST * signed_volumes(mesh.vertices, old)
+    folded = np.minimum(signed_volumes(vertices, first), signed_volumes(vertices, second)) < least
+    on_chord = np.unique(new[folded])
+    vertices[on_chord] = mesh.vertices[pairs[cut[on_chord - len(mesh.vertices)]]].mean(axis=1)
     return dataclasses.replace(
         mesh,
         feet=np.concatenate([mesh.feet, feet]),
