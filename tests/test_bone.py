@@ -14,8 +14,9 @@ from fingerjax.fem.carried import admissible
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.compliance import compliance, displacement
 from fingerjax.fem.condensed import slopes
+from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.operator import internal_force
-from fingerjax.fem.solver import direct_available, solver_for
+from fingerjax.fem.solver import MultigridCG, direct_available, solver_for
 from fingerjax.layers import BONE
 from fingerjax.mesh.bodies import block
 
@@ -105,7 +106,8 @@ def test_nothing_pushes_the_bone_but_the_tissue_around_it(carried, columns, kind
 
 @pytest.mark.parametrize("kind", SOLVERS)
 def test_derivatives_in_the_moduli_match_differences(carried, columns, kind):
-    solver = solver_for(carried, kind)
+    # Columns begin where they ended last, so that what is left of a residual differs between the two ends of a difference.
+    solver = MultigridCG(hierarchy(carried), tolerance=1e-12) if kind == "multigrid" else solver_for(carried, kind)
     force = jnp.asarray(np.random.default_rng(1).normal(size=(2, columns.count)))
     E, nu = material(TISSUE).youngs_modulus, material(TISSUE).poisson_ratio
 
