@@ -131,6 +131,20 @@ def _row(figure: Figure) -> tuple[str, ...]:
     return figure.figure, f"{figure.value:.4g}", unit, goal, verdict, figure.note
 
 
+def listed(title: str, text: str) -> Callable[[Sequence[Figure]], str]:
+    """A page that tells every figure, its goal and whether that was met, on the machine that it was measured on."""
+
+    def page(figures: Sequence[Figure]) -> str:
+        here = machine()
+        rows = [["figure", "value", "goal", "", "note"], ["---", "---:", "---", "---", "---"]]
+        for name, value, unit, goal, met, note in map(_row, figures):
+            rows.append([name, f"{value} {unit}".strip(), goal.removeprefix("goal "), met, note])
+        cores = f"{here['cores']} cores, {here['memory_GiB']:g} GiB, {here['cpu']}"
+        return "\n".join([f"# {title}", "", f"{text} {cores}.", "", *(f"| {' | '.join(row)} |" for row in rows), ""])
+
+    return page
+
+
 def run(
     main: Callable[[bool], Iterable[Figure]],
     arguments: Sequence[str] | None = None,

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks._bodies import COARSE, FINE, Problem, bytes_per_unknown, moduli, problem
-from benchmarks._record import Figure, at_least, at_most, run
+from benchmarks._record import Figure, at_least, at_most, listed, run
 from fingerjax.fem.assembly import Assembled
 from fingerjax.fem.columns import Columns, columns_from_matrix
 from fingerjax.fem.condensed import slopes
@@ -239,5 +240,9 @@ def starting() -> Figure:
     return at_most("first answer of a new process", each["first"] + each["imports"], "s", limit, note)
 
 
+TEXT = """What one answer of the forward engine costs. Written by `python -m benchmarks.engine --write`; a goal that is not met says so, and
+the note what limits it. Measured on"""
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "engine.md"
+
 if __name__ == "__main__":
-    run(main)
+    run(main, page=(PAGE, listed("The forward engine", TEXT)))

@@ -7,6 +7,7 @@ run of the tests does not mesh again.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -17,6 +18,14 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _forget_programs() -> Iterator[None]:
+    """Compiled programs are dropped after each file: a process may map some 65,000 pieces of memory, and all tests together have more."""
+    yield
+    jax.clear_caches()
+
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
