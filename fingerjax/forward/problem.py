@@ -11,6 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..parameters import Parameter
 
+LOSSES = ("linear", "huber", "soft_l1", "cauchy")
+
 
 class Health(eqx.Module):
     """How the solves and contacts inside one evaluation went: the worst of all of them.
@@ -38,6 +40,7 @@ class Problem:
     - `sigma_source`: for each measurement `stated`, `replicates` or `assumed`.
     - `prepare`: for one raw vector, residuals that hold there and whose derivatives do: what needs no derivative (the linear
       solves) is done before anything is traced. None where the residuals are cheap as they are.
+    - `loss`: what is done to a squared residual before they are added, one of `LOSSES`; rows of prior knowledge are always squared.
     """
 
     parameters: tuple[Parameter, ...]
@@ -45,6 +48,7 @@ class Problem:
     blocks: dict[str, slice]
     sigma_source: dict[str, str]
     prepare: Callable[[Array], Callable[[Array], tuple[Array, Health]]] | None = None
+    loss: str = "linear"
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from fingerjax.forward.problem import Health, Problem
+from fingerjax.identify.bootstrap import Bootstrap, bootstrap
+from fingerjax.identify.directions import Direction, directions
 from fingerjax.identify.fit import Fit, Step, fit
+from fingerjax.identify.profile import Profile, profile, profiles
 from fingerjax.identify.sensitivity import Sensitivity, sensitivity
 from fingerjax.identify.uncertainty import Estimate, Uncertainty, uncertainty
 
 __all__ = [
+    "Bootstrap",
+    "Direction",
     "Estimate",
     "Fit",
     "Health",
     "Problem",
+    "Profile",
     "Sensitivity",
     "Step",
     "Uncertainty",
+    "bootstrap",
+    "directions",
     "fit",
+    "profile",
+    "profiles",
     "sensitivity",
     "uncertainty",
 ]
