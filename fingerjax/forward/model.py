@@ -133,7 +133,8 @@ class Assembled:
         blocks = {one.name: slice(int(a), int(b)) for one, a, b in zip(self.study.measurements, ends[:-1], ends[1:], strict=True)}
         if known:
             blocks["prior"] = slice(int(ends[-1]), int(ends[-1]) + len(known))
-        return Problem(parameters, residuals, blocks, {name: source for name, (_, source) in noise.items()}, residuals.prepared)
+        sources = {name: source for name, (_, source) in noise.items()}
+        return Problem(parameters, residuals, blocks, sources, residuals.prepared, self.study.fit.loss)
 
     def _started(self) -> tuple[Parameter, ...]:
         rates = [(index, one) for index, one in enumerate(self.study.measurements) if one.kind == "spike_rate"]

@@ -6,6 +6,7 @@ from fingerjax.forward.problem import Health, Problem
 from fingerjax.identify.bootstrap import Bootstrap, bootstrap
 from fingerjax.identify.directions import Direction, directions
 from fingerjax.identify.fit import Fit, Step, fit
+from fingerjax.identify.multistart import Multistart, multistart
 from fingerjax.identify.profile import Profile, profile, profiles
 from fingerjax.identify.sensitivity import Sensitivity, sensitivity
 from fingerjax.identify.uncertainty import Estimate, Uncertainty, uncertainty
@@ -16,6 +17,7 @@ __all__ = [
     "Estimate",
     "Fit",
     "Health",
+    "Multistart",
     "Problem",
     "Profile",
     "Sensitivity",
@@ -24,6 +26,7 @@ __all__ = [
     "bootstrap",
     "directions",
     "fit",
+    "multistart",
     "profile",
     "profiles",
     "sensitivity",
