@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from nist import RAT42
-from test_profile import X, problem, straight
 
 from fingerjax.identify import Fit, fit, multistart
 from fingerjax.identify.informs import finite, leverage, leverage_rows, stations
 from fingerjax.measurements import Measurement
 from fingerjax.parameters import Parameter
 from fingerjax.report import figures
+
+from .test_profile import X, problem, straight
 
 
 def test_starts_of_a_certified_problem_agree() -> None:

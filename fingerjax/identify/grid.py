@@ -50,8 +50,15 @@ class Grid:
         return self.models[0]
 
     def rows(self, count: int = 10) -> list[dict[str, object]]:
-        """Tidy rows of the best few."""
-        return [{"model": one.name, "chi2": one.chi2, **{f"{k}_MPa": v for k, v in one.moduli.items()}} for one in self.models[:count]]
+        """Tidy rows of the best few; models of the same ratios stand in one row."""
+        alike: dict[tuple[float, ...], list[GridModel]] = {}
+        for one in self.models:
+            alike.setdefault((one.chi2, *one.moduli.values()), []).append(one)
+        best = list(alike.values())[:count]
+        return [
+            {"model": " = ".join(one.name for one in same), "chi2": same[0].chi2, **{f"{k}_MPa": v for k, v in same[0].moduli.items()}}
+            for same in best
+        ]
 
 
 def grid(
