@@ -99,6 +99,13 @@ def test_what_no_reading_sees_is_not_identifiable_on_either_side() -> None:
     assert loose.words == "adipose.modulus" and loose.known == "not seen"
 
 
+def test_an_interval_of_decades_is_no_identification() -> None:
+    found = fit(problem(lambda b: jnp.log(b[0]) * X, np.zeros(len(X)), [Parameter("slope", 1.2, "MPa")], 10.0))
+    one = profile(found, "slope")
+    assert one.ends == ("found", "found") and one.bounded and not one.identified
+    assert one.verdict().startswith("slope is practically not identifiable: anything from")
+
+
 def test_a_limit_ends_a_profile() -> None:
     tight = [Parameter("slope", 1.0, "1", "log", 0.5, 2.001), Parameter("offset", 1.0, "1", "identity", -9.0, 9.0)]
     found = fit(problem(lambda b: b[0] * X + b[1], 1.99 * X + 1.0, tight, 0.5))

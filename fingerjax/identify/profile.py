@@ -21,7 +21,7 @@ import numpy as np
 
 from ..parameters import Parameter
 from .fit import Fit, fit
-from .uncertainty import Uncertainty, uncertainty
+from .uncertainty import VAGUE, Uncertainty, uncertainty
 
 REACH = math.log(1000.0)  # of a log or logit parameter from its best value: farther nobody looks
 CLOSE = 0.02  # share of t within which a point counts as the end
@@ -56,8 +56,17 @@ class Profile:
     lower_chi2: float | None = None
 
     @property
-    def identified(self) -> bool:
+    def bounded(self) -> bool:
+        """Whether the data object on both sides."""
         return self.ends == (FOUND, FOUND)
+
+    @property
+    def identified(self) -> bool:
+        """Bounded, and for what is positive to better than a factor of ten on both sides."""
+        if not self.bounded or self.parameter.link != "log":
+            return self.bounded
+        best = float(self.parameter.natural(self.raw[int(np.argmin(np.abs(self.root)))]))
+        return max(self.upper / best, best / self.lower) < math.exp(VAGUE)
 
     def rows(self) -> list[dict[str, object]]:
         """Tidy rows: parameter, value, root, t."""
@@ -82,6 +91,8 @@ class Profile:
             return f"{name}: the profile could not be followed to its end"
         if self.identified:
             return f"{name} is identified"
+        if self.bounded:
+            return f"{name} is practically not identifiable: anything from {self.lower:.3g} to {self.upper:.3g} {self.parameter.unit} will do"
         along = ", ".join(f"{other} (by {share:+.2g} per unit of its own)" for other, share in self.follows().items())
         why = f", because {along} makes up for it" if along else ""
         if low != FOUND and high != FOUND:

@@ -100,3 +100,16 @@ class Counted(AbstractWeighing):
     def rows(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         root = np.sqrt(self.weight)
         return root * residual, root
+
+
+@dataclass(frozen=True)
+class Chain(AbstractWeighing):
+    """One weighing after the other."""
+
+    first: AbstractWeighing
+    second: AbstractWeighing
+
+    def rows(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        once, slope = self.first.rows(residual)
+        twice, more = self.second.rows(once)
+        return twice, slope * more

@@ -94,7 +94,7 @@ def _compared(known: Uncertainty, lines: tuple[Profile, ...], repeats: Bootstrap
         if one.name in profiled:
             low, high = profiled[one.name].lower, profiled[one.name].upper
             row |= {"lower_profile": low, "upper_profile": high}
-            ratios.append(agreement(known, one.name, low, high) if profiled[one.name].identified else math.inf)
+            ratios.append(agreement(known, one.name, low, high) if profiled[one.name].bounded else math.inf)
         if repeats is not None:
             low, high = repeats.interval(one.name)
             row |= {f"lower_{repeats.kind}": low, f"upper_{repeats.kind}": high}
