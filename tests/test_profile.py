@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from nist import MISRA1A, RAT42
+from scipy.optimize import least_squares
 
 from fingerjax.identify import Fit, Health, Problem, bootstrap, directions, fit, profile, profiles, uncertainty
 from fingerjax.identify.bootstrap import agreement, labels_of
@@ -145,6 +146,18 @@ def test_a_robust_loss_is_not_drawn_by_an_outlier(loss: str) -> None:
     known = uncertainty(found)
     assert known.sigma == "robust" and known["slope"].lower < 2.0 < known["slope"].upper
     assert profile(found, "slope").identified
+
+
+@pytest.mark.parametrize("upper", [math.inf, 1.9])
+def test_scipys_bounded_solver_ends_at_the_same_place(upper: float) -> None:
+    y = 2.0 * X + 1.0 + 0.1 * np.cos(9 * X)
+    parameters = [Parameter("slope", 1.0, "1", "identity", 0.0, upper), Parameter("offset", 0.5, "1", "identity", -math.inf, math.inf)]
+    task = problem(lambda b: b[0] * X + b[1] ** 3, y, parameters, 0.1)
+    ours = fit(task)
+    theirs = least_squares(lambda raw: np.asarray(task.residuals(jnp.asarray(raw))[0]), task.start(), bounds=([0, -np.inf], [upper, np.inf]))
+    np.testing.assert_allclose(ours.raw, theirs.x, rtol=1e-5)
+    assert ours.chi2 == pytest.approx(2 * theirs.cost, rel=1e-8)
+    assert (ours.limits == {"slope": "upper"}) == math.isfinite(upper)
 
 
 def test_a_loss_of_no_name_is_refused() -> None:

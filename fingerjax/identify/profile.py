@@ -92,7 +92,8 @@ class Profile:
         if self.identified:
             return f"{name} is identified"
         if self.bounded:
-            return f"{name} is practically not identifiable: anything from {self.lower:.3g} to {self.upper:.3g} {self.parameter.unit} will do"
+            span = f"{self.lower:.3g} to {self.upper:.3g} {self.parameter.unit}"
+            return f"{name} is practically not identifiable: anything from {span} will do"
         along = ", ".join(f"{other} (by {share:+.2g} per unit of its own)" for other, share in self.follows().items())
         why = f", because {along} makes up for it" if along else ""
         if low != FOUND and high != FOUND:
