@@ -154,7 +154,8 @@ def test_scipys_bounded_solver_ends_at_the_same_place(upper: float) -> None:
     parameters = [Parameter("slope", 1.0, "1", "identity", 0.0, upper), Parameter("offset", 0.5, "1", "identity", -math.inf, math.inf)]
     task = problem(lambda b: b[0] * X + b[1] ** 3, y, parameters, 0.1)
     ours = fit(task)
-    theirs = least_squares(lambda raw: np.asarray(task.residuals(jnp.asarray(raw))[0]), task.start(), bounds=([0, -np.inf], [upper, np.inf]))
+    bounds = ([0, -np.inf], [upper, np.inf])
+    theirs = least_squares(lambda raw: np.asarray(task.residuals(jnp.asarray(raw))[0]), task.start(), bounds=bounds)
     np.testing.assert_allclose(ours.raw, theirs.x, rtol=1e-5)
     assert ours.chi2 == pytest.approx(2 * theirs.cost, rel=1e-8)
     assert (ours.limits == {"slope": "upper"}) == math.isfinite(upper)

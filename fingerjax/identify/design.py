@@ -144,6 +144,7 @@ def _judge(criterion: str, weights: np.ndarray | None) -> Judge:
         return lambda V: np.linalg.slogdet(V)[1]
     if criterion == "A":
         return lambda V: np.trace(V, axis1=1, axis2=2)
+    assert weights is not None, "criterion c has a target"
     return lambda V: np.einsum("i,kij,j->k", weights, V, weights)
 
 
