@@ -10,6 +10,8 @@ os.environ.setdefault("NPROC", "16")
 
 import typer
 
+from fingerjax.commands.design import design
+from fingerjax.commands.grid import grid
 from fingerjax.commands.mesh import mesh
 from fingerjax.commands.run import run
 from fingerjax.commands.studies import studies
@@ -31,6 +33,8 @@ app.command()(run)
 app.command()(mesh)
 app.command()(studies)
 app.command()(verify)
+app.command()(design)
+app.command()(grid)
 
 
 def main() -> None:

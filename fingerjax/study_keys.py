@@ -15,6 +15,7 @@ from .layers import LAYERS, SOFT_LAYERS
 from .measurements import ReceptorKeys, SidecarKeys
 from .spelling import choose_from
 from .strict import Positive, Strict
+from .study_design import DesignKeys
 from .units import read_quantity
 
 EPIDERMIS = 0.18
@@ -207,13 +208,25 @@ class Entry(Strict):
         return name
 
 
+class BootstrapKeys(Strict):
+    """Repeats of a fit: on new noise, or on cases drawn with replacement."""
+
+    kind: Literal["parametric", "case"] = "parametric"
+    repeats: int = Field(default=200, ge=20)
+    seed: int = 0
+
+
 class FitKeys(Strict):
-    """Which parameters move, by their names."""
+    """Which parameters move, by their names; the loss; and what is done to say how sure their values are."""
 
     free: list[str] = []
     tie: list[list[str]] = []
     per: dict[str, str] = {}
     priors: dict[str, dict[str, Any]] = {}
+    loss: Literal["linear", "huber", "soft_l1", "cauchy"] = "linear"
+    starts: int = Field(default=1, ge=1, le=1024)
+    profile: bool | list[str] = False
+    bootstrap: BootstrapKeys | None = None
 
 
 class HoldOutKeys(Strict):
@@ -293,6 +306,7 @@ class StudyKeys(Strict):
     measurements: list[Entry] = []
     fit: FitKeys | None = None
     diagnose: DiagnoseKeys | None = None
+    design: DesignKeys | None = None
     options: dict[str, Any] | None = None
     fallback: str | None = None
 

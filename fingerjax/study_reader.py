@@ -20,6 +20,7 @@ from .measurements import Measurement, Receptor, read_measurement, receptor_from
 from .parameters import Parameter
 from .spelling import choose_from
 from .strict import checked
+from .study_design import Design, read_design
 from .study_keys import DiagnoseKeys, FitKeys, LayerStudyKeys, StudyKeys, TableKeys
 from .study_records import (
     Diagnose,
@@ -57,6 +58,7 @@ class StudyReader:
         measurements = self._measurements(keys, receptor)
         options = self._options(keys)
         parameters = base_parameters(keys.model, measurements)
+        fit = self._fit(keys, {one.name: one for one in parameters}, measurements)
         return Study(
             name=self.name,
             kind=keys.kind,
@@ -68,8 +70,9 @@ class StudyReader:
             model=keys.model,
             receptor=receptor,
             measurements=measurements,
-            fit=self._fit(keys, {one.name: one for one in parameters}, measurements),
+            fit=fit,
             diagnose=self._diagnose(keys.diagnose, keys, measurements),
+            design=self._design(keys, fit),
             options=options,
             missing_data=tuple(dict.fromkeys(self.missing)),
             fallback=keys.fallback,
@@ -150,7 +153,13 @@ class StudyReader:
         self._check_per(said, measurements)
         priors = {name: self._prior(name, value, parameters) for name, value in said.priors.items()}
         tie = tuple(tuple(group) for group in said.tie)
-        return Fit(free=free, tie=tie, per=dict(said.per), priors=priors)
+        asked = said.profile if isinstance(said.profile, list) else list(free) if said.profile else []
+        self._known(asked, free, "fit", "profile")
+        again = said.bootstrap
+        return Fit(
+            free=free, tie=tie, per=dict(said.per), priors=priors, loss=said.loss, starts=said.starts, profile=tuple(asked),
+            bootstrap=None if again is None else (again.kind, again.repeats, again.seed),
+        )  # fmt: skip
 
     def _known(self, names: Sequence[str], allowed: Sequence[str], *keys: str | int) -> None:
         for index, name in enumerate(names):
@@ -224,6 +233,12 @@ class StudyReader:
                 with located(self.origin, "diagnose", "hold_out", index, "where"):
                     held.append(_held_out(by_name[one.measurement], one.where))
         return Diagnose(effects, tuple(held))
+
+    def _design(self, keys: StudyKeys, fit: Fit) -> Design | None:
+        if keys.design is None:
+            return None
+        taken = [entry.name for entry in keys.measurements]
+        return read_design(keys.design, fit.free, taken, self.file.parent, self._below("design"))
 
     def _options(self, keys: StudyKeys) -> ForceTable | LayerStudy | None:
         inner = self._below("options")

@@ -13,6 +13,7 @@ from .layers import SOFT_LAYERS
 from .measurements import Measurement, Receptor
 from .parameters import Parameter
 from .spelling import choose_from
+from .study_design import Design
 from .study_keys import Finger, Model
 
 
@@ -40,12 +41,18 @@ class Fit:
     - `per`: name -> the label column (`subject`, ...) of which every value has its own; in a tie it holds
       for the group.
     - `priors`: name -> what was measured elsewhere.
+    - `loss`: by name, see `identify.weighing`; `starts`: from how many places the fit begins.
+    - `profile`: the parameters whose likelihood is profiled. `bootstrap`: kind, repeats and seed; None where none is asked for.
     """
 
     free: tuple[str, ...] = ()
     tie: tuple[tuple[str, ...], ...] = ()
     per: dict[str, str] = dataclasses.field(default_factory=dict)
     priors: dict[str, Prior] = dataclasses.field(default_factory=dict)
+    loss: str = "linear"
+    starts: int = 1
+    profile: tuple[str, ...] = ()
+    bootstrap: tuple[str, int, int] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,6 +139,7 @@ class Study:
     measurements: tuple[Measurement, ...]
     fit: Fit
     diagnose: Diagnose | None
+    design: Design | None = None
     options: ForceTable | LayerStudy | None = None
     missing_data: tuple[str, ...] = ()
     fallback: str | None = None

@@ -133,7 +133,7 @@ class Assembled:
         if known:
             blocks["prior"] = slice(int(ends[-1]), int(ends[-1]) + len(known))
         sources = {name: source for name, (_, source) in noise.items()}
-        return Problem(parameters, residuals, blocks, sources, residuals.prepared, self._reseat(parameters))
+        return Problem(parameters, residuals, blocks, sources, residuals.prepared, self._reseat(parameters), self.study.fit.loss)
 
     def _reseat(self, parameters: tuple[Parameter, ...]) -> Callable[[np.ndarray], np.ndarray] | None:
         """The best scale and threshold of every afferent whose two are free, have no prior, and are shared with no other."""

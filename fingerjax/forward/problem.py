@@ -11,6 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..parameters import Parameter
 
+LOSSES = ("linear", "huber", "soft_l1", "cauchy")
+
 
 class Health(eqx.Module):
     """How the solves and contacts inside one evaluation went: the worst of all of them.
@@ -40,6 +42,7 @@ class Problem:
       solves) is done before anything is traced. None where the residuals are cheap as they are.
     - `reseat`: for one raw vector, the same with the values that can be found exactly for the others (scale and threshold of an
       afferent) replaced by the best ones: where nothing fires, no slope leads back. None where there are none.
+    - `loss`: what is done to a squared residual before they are added, one of `LOSSES`; rows of prior knowledge are always squared.
     """
 
     parameters: tuple[Parameter, ...]
@@ -48,6 +51,7 @@ class Problem:
     sigma_source: dict[str, str]
     prepare: Callable[[Array], Callable[[Array], tuple[Array, Health]]] | None = None
     reseat: Callable[[np.ndarray], np.ndarray] | None = None
+    loss: str = "linear"
 
     @property
     def names(self) -> tuple[str, ...]:

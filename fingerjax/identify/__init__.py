@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from fingerjax.forward.problem import Health, Problem
+from fingerjax.identify.bootstrap import Bootstrap, bootstrap
+from fingerjax.identify.directions import Direction, directions
 from fingerjax.identify.fit import Fit, Step, fit
+from fingerjax.identify.multistart import Multistart, multistart
+from fingerjax.identify.profile import Profile, profile, profiles
 from fingerjax.identify.sensitivity import Sensitivity, sensitivity
 from fingerjax.identify.uncertainty import Estimate, Uncertainty, uncertainty
 
 __all__ = [
+    "Bootstrap",
+    "Direction",
     "Estimate",
     "Fit",
     "Health",
+    "Multistart",
     "Problem",
+    "Profile",
     "Sensitivity",
     "Step",
     "Uncertainty",
+    "bootstrap",
+    "directions",
     "fit",
+    "multistart",
+    "profile",
+    "profiles",
     "sensitivity",
     "uncertainty",
 ]

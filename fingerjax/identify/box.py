@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,13 @@ class Box:
         linked = np.array([parameter.link != "identity" for parameter in parameters])
         change = np.where(linked, LARGEST_CHANGE, math.inf)
         return cls(np.array([b[0] for b in bounds]), np.array([b[1] for b in bounds]), change, linked)
+
+    def pinched(self, where: dict[int, float]) -> Box:
+        """The box in which some parameters, by number, stay at a raw value."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for number, raw in where.items():
+            lower[number] = upper[number] = raw
+        return replace(self, lower=lower, upper=upper)
 
     def idle(self, point: Point) -> np.ndarray:
         """(p,) bool: parameters that no step should move, for they are at a limit or too faint to be seen from here."""

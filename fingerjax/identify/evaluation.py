@@ -22,6 +22,7 @@ class Point:
     """The model at one raw vector.
 
     `fading` (p,), where it was reached from another point: parameters that lost sight of the data on the way, +1 upwards, -1 downwards.
+    `plain`: the point as the model gave it, where its rows were weighed (`weighing`).
     """
 
     raw: np.ndarray
@@ -31,6 +32,7 @@ class Point:
     iterations: int
     solve_residual: float
     fading: np.ndarray | None = None
+    plain: Point | None = None
 
     def reached_from(self, other: Point) -> Point:
         """This point, knowing which of its parameters fade."""

@@ -14,7 +14,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,6 +26,7 @@ from ..forward.problem import Problem
 from .box import PERFECT, Box, relative_gradient
 from .evaluation import Point, evaluator
 from .walk import Secant, Walk
+from .weighing import AbstractWeighing, Loss
 
 NEAR = 1e-3  # standard errors from the optimum at which a fit that cannot go on counts as arrived
 LEVEL = 0.1  # relative gradient from which on the secant may be asked: far from an optimum it misleads
@@ -49,7 +50,8 @@ class Fit:
     """Where a fit ended, how it got there, and the linearisation there.
 
     - `result`: a member of `RESULTS`; `reason` is the particular story in one clause.
-    - `raw` (p,), `residual` (rows,), `jacobian` (rows, p): the best point found, d residual / d raw.
+    - `raw` (p,), `residual` (rows,), `jacobian` (rows, p): the best point found, d residual / d raw, before any loss.
+    - `chi2`: what was made least: the sum of squares, or of their loss.
     - `gradient`: largest |J_j . r| / (|J_j| |r|) over the parameters that are free to move: 0 at an optimum.
     - `evaluations`: how often the model was run; each gave residuals and Jacobian.
     """
@@ -68,6 +70,7 @@ class Fit:
     solve_residual: float
     limits: dict[str, str] = field(default_factory=dict)
     history: tuple[Step, ...] = ()
+    chi2: float = math.nan
 
     @property
     def settled(self) -> bool:
@@ -84,10 +87,6 @@ class Fit:
     def values(self) -> dict[str, float]:
         """Natural values at the optimum; NaN throughout where there is none."""
         return self.best if self.settled else dict.fromkeys(self.problem.names, math.nan)
-
-    @property
-    def chi2(self) -> float:
-        return float(self.residual @ self.residual)
 
     @property
     def dof(self) -> int:
@@ -174,9 +173,10 @@ class _Record:
             result = RESULTS.at_limit
             reason += "; ran towards its limit: " + ", ".join(f"{name} ({side})" for name, side in limits.items())
         best = self.best
+        plain = best if best.plain is None else best.plain
         return Fit(
-            self.problem, result, reason, best.raw, best.residual, best.jacobian, self.gradient, self.steps,
-            self.evaluations, best.usable, best.iterations, best.solve_residual, limits, tuple(self.history),
+            self.problem, result, reason, best.raw, plain.residual, plain.jacobian, self.gradient, self.steps,
+            self.evaluations, best.usable, best.iterations, best.solve_residual, limits, tuple(self.history), best.chi2,
         )  # fmt: skip
 
 
@@ -186,6 +186,8 @@ def fit(
     max_steps: int = 100,
     gradient_tolerance: float = 1e-6,
     start: np.ndarray | None = None,
+    hold: Mapping[str, float] | None = None,
+    weighing: AbstractWeighing | None = None,
     progress: Callable[[Step], object] | None = None,
 ) -> Fit:
     """Find the parameters at which the sum of squared whitened residuals is least.
@@ -199,6 +201,8 @@ def fit(
     - `gradient_tolerance`: the relative gradient that counts as an optimum.
     - `start`: raw start values (p,), for instance `Fit.raw` of an interrupted fit; the parameters' own
       otherwise.
+    - `hold`: raw values, by name, of parameters that stay where they are.
+    - `weighing`: what is done to the rows before the loss, see `identify.weighing`.
     - `progress`: called with a `Step` after every evaluation.
 
     **Returns:** a `Fit`. It never raises for a fit that ends badly: `Fit.result` is then `not_converged` (a
@@ -213,7 +217,8 @@ def fit(
     """
     if not problem.parameters:
         raise ValueError("problem has no free parameters: name at least one under fit.free")
-    evaluate, box = evaluator(problem), Box.around(problem.parameters)
+    evaluate = _weighed(problem, weighing)
+    box = Box.around(problem.parameters).pinched({problem.names.index(name): raw for name, raw in (hold or {}).items()})
     first = _seated(problem, box, problem.start() if start is None else np.asarray(start, float))
     found = _fitted(problem, evaluate, box, first, max_steps, gradient_tolerance, progress)
     for _ in range(SEATINGS if problem.reseat is not None and found.settled else 0):
@@ -246,6 +251,19 @@ def _fitted(
             return record.end(RESULTS.not_converged, _failure("at the start values", record.best))
         record.take(record.best)
         return _descend(record, evaluate, max_steps, gradient_tolerance, asked)
+
+
+def _weighed(problem: Problem, weighing: AbstractWeighing | None) -> Callable[[np.ndarray], Point]:
+    """The model with its rows weighed, and then its loss."""
+    plain = evaluator(problem)
+
+    def evaluate(raw: np.ndarray) -> Point:
+        point = plain(raw)
+        if weighing is not None:
+            point = weighing(point)
+        return point if problem.loss == "linear" else Loss.of(problem, point.residual.size)(point)
+
+    return evaluate
 
 
 def _descend(

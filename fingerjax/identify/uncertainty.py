@@ -4,7 +4,11 @@
 
 in raw parameters. A block whose noise is stated, or comes from replicates, has s_b = 1, so that V = A^-1
 where all are. Blocks whose noise was only assumed share one s^2, estimated from their own residuals; the
-intervals are then Student's with the degrees of freedom that those residuals have left. Intervals are mapped
+intervals are then Student's with the degrees of freedom that those residuals have left. Under a robust loss with influence psi
+
+    V = A^-1 (sum over rows psi_i^2 J_i J_i') A^-1 n / (n - p),   A = sum over rows max(psi'_i, 0) J_i J_i'
+
+(Huber, Robust Statistics, 1981, section 7.6), which takes no noise at its word. Intervals are mapped
 through the link, so those of a modulus are positive and not symmetric.
 """
 
@@ -18,6 +22,7 @@ import numpy as np
 from scipy import stats
 
 from fingerjax.identify.fit import Fit
+from fingerjax.identify.weighing import Loss
 from fingerjax.parameters import Parameter
 
 UNSEEN = (
@@ -48,7 +53,9 @@ class Uncertainty:
     """What the data say about the parameters at the end of a fit.
 
     - `covariance` (p, p), `correlations` (p, p): in raw parameters; NaN rows for the undefined ones.
-    - `sigma`: "stated" or "estimated"; `t` is the quantile that widens a standard error to half an interval,
+    - `unscaled` (p, p): A^-1, the inverse of half the curvature of chi-square; NaN rows as above.
+    - `sigma`: "stated", "estimated", or "robust" under a loss other than squares; `t` is the quantile that widens a standard
+      error to half an interval,
       and `noise_dof` the degrees of freedom behind it (inf where sigma is stated).
     - `variance`: chi2 / dof, about 1 where the model fits to within the stated noise.
     - `sentences`: what the data do not see, in words.
@@ -62,6 +69,7 @@ class Uncertainty:
     noise_dof: float
     variance: float
     sentences: tuple[str, ...]
+    unscaled: np.ndarray
 
     def __getitem__(self, name: str) -> Estimate:
         return next(estimate for estimate in self.estimates if estimate.name == name)
@@ -114,12 +122,15 @@ def uncertainty(fit: Fit, *, level: float = 0.95) -> Uncertainty:
     parameters = fit.problem.parameters
     free = np.array([p.name not in fit.limits for p in parameters]) & fit.settled
     jacobian = fit.jacobian[:, free]
-    seen = _Seen.of(jacobian)
-    s2, noise_dof = _noise(fit, jacobian, seen)
+    robust = fit.problem.loss != "linear"
+    seen = _Seen.of(_bent(fit, jacobian) if robust else jacobian)
+    s2, noise_dof = (1.0, float(fit.dof)) if robust else _noise(fit, jacobian, seen)
     covariance = np.full((len(parameters), len(parameters)), np.nan)
     defined = np.flatnonzero(free)[~seen.involved]
     inner = _sandwich(fit, jacobian, seen, s2)[np.ix_(~seen.involved, ~seen.involved)]
     covariance[np.ix_(defined, defined)] = inner
+    unscaled = np.full_like(covariance, np.nan)
+    unscaled[np.ix_(defined, defined)] = seen.covariance[np.ix_(~seen.involved, ~seen.involved)]
     t = float(stats.t.ppf(0.5 + level / 2, noise_dof)) if noise_dof > 0 else math.nan
     involved = np.zeros(len(parameters), bool)
     involved[np.flatnonzero(free)] = seen.involved
@@ -129,13 +140,14 @@ def uncertainty(fit: Fit, *, level: float = 0.95) -> Uncertainty:
         estimates=tuple(_estimate(fit, j, width[j], bool(involved[j]), t) for j in range(len(parameters))),
         covariance=covariance,
         correlations=_correlations(covariance),
-        sigma="estimated" if math.isfinite(noise_dof) else "stated",
+        sigma="robust" if robust else "estimated" if math.isfinite(noise_dof) else "stated",
         t=t,
         noise_dof=noise_dof,
         variance=fit.chi2 / fit.dof if fit.dof > 0 else math.nan,
         sentences=_sentences([p for p in parameters if p.name in names], jacobian, seen)
         if fit.settled
         else (),
+        unscaled=unscaled,
     )
 
 
@@ -161,9 +173,18 @@ def _noise(fit: Fit, jacobian: np.ndarray, seen: _Seen) -> tuple[float, float]:
     return float(np.sum(fit.residual[rows] ** 2)) / dof, dof
 
 
+def _bent(fit: Fit, jacobian: np.ndarray) -> np.ndarray:
+    """Rows of the Jacobian by the root of the loss's own curvature there."""
+    _, slope = Loss.of(fit.problem, fit.residual.size).influence(fit.residual)
+    return np.sqrt(np.maximum(slope, 0.0))[:, None] * jacobian
+
+
 def _sandwich(fit: Fit, jacobian: np.ndarray, seen: _Seen, s2: float) -> np.ndarray:
-    rows = _assumed_rows(fit)
-    weights = np.where(rows, s2, 1.0)
+    if fit.problem.loss == "linear":
+        weights = np.where(_assumed_rows(fit), s2, 1.0)
+    else:
+        psi, _ = Loss.of(fit.problem, fit.residual.size).influence(fit.residual)
+        weights = psi**2 * fit.residual.size / max(fit.dof, 1)
     return seen.covariance @ (jacobian.T @ (weights[:, None] * jacobian)) @ seen.covariance
 
 

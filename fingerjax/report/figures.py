@@ -9,6 +9,8 @@
 | `layer_study` | model, distance_mm, deflection (of the load's), optionally `panel` |
 | `tip_radius` | radius_mm, slope_MPa_per_gf, ratio |
 | `heat_map` | any: a row name, a column name, a value |
+| `profile_likelihood` | parameter, value, root, t |
+| `basins` | basin, chi2, `from NAME`, `to NAME` |
 | `fit_path` | step, chi2, gradient, accepted |
 
 A row may lack a measured value (the curve goes on between the points) or a predicted one. Every function
@@ -332,6 +334,48 @@ def sensitivities(rows: Sequence[Row], name: str = "sensitivity") -> Figure:
         told, "parameter", "observation", "per_log_sigma", name=name, label="sigmas per factor e",
         caption="Change of each prediction, in standard deviations, when a parameter grows by a factor e.",
     )  # fmt: skip
+
+
+def profile_likelihood(rows: Sequence[Row], name: str = "profile_likelihood") -> Figure:
+    """Signed root of the rise of chi-square over each parameter, a panel for each; straight where the problem is regular."""
+    panels = groups(rows, "parameter")
+
+    def paint(canvas: Canvas) -> None:
+        across = min(len(panels), 3)
+        grid = canvas.subplots(-(-len(panels) // across), across, squeeze=False)
+        for axes, (label, members) in zip(grid.flat, panels.items(), strict=False):
+            members = _ordered(members, "value")
+            value, root, t = numbers(members, "value"), numbers(members, "root"), float(members[0]["t"])
+            axes.plot(value, root, "o-", color=COLOURS[0])
+            for end in (-t, t):
+                axes.axhline(end, color=PAPER, linestyle="--")
+            if (value > 0).all() and value.max() > 3 * value.min():
+                axes.set_xscale("log")
+            axes.set_title(label, fontsize=9)
+        for axes in list(grid.flat)[len(panels) :]:
+            axes.set_visible(False)
+        canvas.supylabel("signed root of the rise of chi-square", fontsize=9)
+
+    text = "Profile likelihood: dashed, where the 95 % interval ends; a curve that flattens before it says that the data do not object."
+    return draw(name, text, rows, paint, (6.8, 2.3 * -(-len(panels) // 3) + 0.4))
+
+
+def basins(rows: Sequence[Row], across: str, up: str, name: str = "basins") -> Figure:
+    """Which start ends in which optimum, over two of the parameters; crosses found none."""
+
+    def paint(canvas: Canvas) -> None:
+        axes = canvas.subplots()
+        for basin, members in sorted(groups(rows, "basin").items()):
+            colour, marker = (PAPER, "x") if basin == 0 else (COLOURS[(basin - 1) % len(COLOURS)], MARKERS[(basin - 1) % len(MARKERS)])
+            label = "no optimum" if basin == 0 else f"chi-square {members[0]['chi2']:.4g}"
+            began = numbers(members, f"from {across}"), numbers(members, f"from {up}")
+            axes.plot(*began, marker, color=colour, linestyle="none", label=label)
+            if basin:
+                axes.plot(numbers(members, f"to {across}")[:1], numbers(members, f"to {up}")[:1], "*", color=colour, markersize=12)
+        axes.set(xlabel=across, ylabel=up, xscale="log", yscale="log")
+        axes.legend()
+
+    return draw(name, "Where fits began, coloured by where they ended; stars are the optima.", rows, paint, (5.2, 4.0))
 
 
 def fit_path(rows: Sequence[Row], name: str = "fit_path") -> Figure:

@@ -10,13 +10,15 @@ import numpy as np
 from .._results import RESULTS
 from ..forward import Assembled, Prediction, assemble
 from ..forward.model import noise_of
-from ..identify import Fit, Uncertainty, fit, sensitivity, uncertainty
+from ..forward.problem import Problem
+from ..identify import Fit, Multistart, Uncertainty, fit, multistart, sensitivity, uncertainty
 from ..layers import SOFT_LAYERS
 from ..report import figures, words
 from ..report.records import Context, Figure, StudyResult, Table, fit_record, mesh_record, misfit
 from ..report.tables import correlation_table, parameter_table, residual_table
 from ..study import Study
 from ._rows import drawn, rows
+from .certainty import how_sure, seen_tables
 
 PAPER_RATIO = 0.1  # dermis and deeper layers to epidermis: m43338, Dandekar et al. (2003), section 4.2
 
@@ -26,7 +28,7 @@ def fit_study(study: Study, context: Context) -> StudyResult:
     assembled = assemble(study, tell=lambda share, what: context.tell(0.3 * share, what))
     context.tell(0.3, "first reading")
     problem = assembled.problem()
-    found = fit(problem, progress=lambda step: context.tell(min(0.35 + 0.05 * step.step, 0.95), f"step {step.step}, chi2 {step.chi2:.4g}"))
+    found, many = _fitted(study, problem, context.within(0.35, 0.6 if _more(study) else 0.97))
     known = uncertainty(found)
     begun = StudyResult(
         name=study.name,
@@ -39,7 +41,21 @@ def fit_study(study: Study, context: Context) -> StudyResult:
     )
     if not found.settled:
         return dataclasses.replace(begun, fit=fit_record(found, known))
-    return _settled(study, assembled, found, known, begun)
+    settled = _settled(study, assembled, found, known, begun)
+    return how_sure(study, assembled, found, known, many, settled, context.within(0.6, 0.98)) if _more(study) else settled
+
+
+def _more(study: Study) -> bool:
+    """Whether the study asks for more than one fit."""
+    return bool(study.fit.profile or study.fit.bootstrap or study.fit.starts > 1)
+
+
+def _fitted(study: Study, problem: Problem, context: Context) -> tuple[Fit, Multistart | None]:
+    """The fit, or the best of those from several starts."""
+    if study.fit.starts > 1:
+        many = multistart(problem, study.fit.starts, tell=context.tell)
+        return many.best, many
+    return fit(problem, progress=lambda step: context.tell(min(0.08 * step.step, 1.0), f"step {step.step}, chi2 {step.chi2:.4g}")), None
 
 
 def _settled(study: Study, assembled: Assembled, found: Fit, known: Uncertainty, begun: StudyResult) -> StudyResult:
@@ -49,10 +65,10 @@ def _settled(study: Study, assembled: Assembled, found: Fit, known: Uncertainty,
     predicted = {one.name: one.measured + found.rows(one.name) * sigma[one.name] for one in study.measurements}
     tables = [parameter_table(known, seen), residual_table(record), correlation_table(known)]
     tables += _ratios(assembled, found, known)
+    tables += seen_tables(study, found, known)
     pictures = [picture for one in study.measurements if (picture := drawn(one, rows(one, predicted[one.name], sigma[one.name])))]
-    return dataclasses.replace(
-        begun, fit=record, tables=[table for table in tables if table.rows], figures=[*pictures, *_about(found, record)]
-    )
+    drawn_too = [*_about(found, record), figures.sensitivities(seen.table())]
+    return dataclasses.replace(begun, fit=record, tables=[table for table in tables if table.rows], figures=[*pictures, *drawn_too])
 
 
 def _about(found: Fit, record: dict[str, Any]) -> list[Figure]:

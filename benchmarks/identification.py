@@ -1,0 +1,303 @@
+"""What a fit says of itself, in figures: certified problems, recovery, the paper's grid, intervals three ways, the next experiment.
+
+`--quick` takes coarse meshes and few repeats; `--full` the meshes of 8,500 nodes and all 256 models of the grid one by one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from benchmarks._record import Figure, at_least, at_most, between, run
+from fingerjax.finger_keys import MeshResolution
+from fingerjax.forward import Assembled, assemble
+from fingerjax.forward.model import noise_of
+from fingerjax.identify import Fit, Problem, bootstrap, fit, profiles, uncertainty
+from fingerjax.identify.bootstrap import REGULAR, agreement
+from fingerjax.identify.design import recommend
+from fingerjax.identify.directions import sentences
+from fingerjax.identify.grid import DECADES, grid
+from fingerjax.identify.weighing import Chain, Counted, Redrawn
+from fingerjax.indenter_spec import IndenterSpec
+from fingerjax.layers import SOFT_LAYERS
+from fingerjax.measurements import Measurement
+from fingerjax.study import Fit as Fitted
+from fingerjax.study import Study, load_studies
+from tests.nist import CERTIFIED
+
+ROOT = Path(__file__).resolve().parent.parent
+TRUTH = ROOT / "fits" / "synthetic" / "layer_ratios" / "truth.yaml"
+NAMES = tuple(f"{layer}.modulus" for layer in SOFT_LAYERS)
+MODULI = dict(zip(NAMES, (0.14, 0.02, 0.009, 0.03), strict=True))  # MPa, off the powers of ten
+COARSE, PAPER = MeshResolution(pad_mm=1.2, proximal_mm=3.0), MeshResolution(pad_mm=0.5, proximal_mm=1.5)
+SEED = 11
+
+
+def main(quick: bool, full: bool = False) -> Iterator[Figure]:
+    """All figures; each part on a mesh of its own."""
+    studies = load_studies(ROOT / "experiments.yaml", os.environ.get("FINGERJAX_DATA"))
+    yield from certified()
+    yield from recovery(studies["layer_ratios_simulated"], 20 if quick else 200, fine=full)
+    yield from beside_the_grid(studies["layer_study"], (3, 4) if quick else DECADES, every=full, fine=full)
+    yield from three_ways(studies, 60 if quick else 400, fine=full)
+    yield from next_experiment(studies["layer_study"], 10 if quick else 100, fine=full)
+    yield from not_seen(studies["layer_study"])
+
+
+# ---- certified ----
+
+
+def certified() -> Iterator[Figure]:
+    """Digits to which the certified sets of NIST are met, the worst of all parameters."""
+    import jax.numpy as jnp
+
+    from fingerjax.identify import Health
+    from fingerjax.parameters import Parameter
+
+    values, errors = [], []
+    for case in CERTIFIED:
+        started = tuple(Parameter(f"b{j}", value) for j, value in enumerate(case.starts[1]))
+
+        def residuals(raw: Any, case: Any = case, started: Any = started) -> Any:
+            b = [one.natural(raw[j]) for j, one in enumerate(started)]
+            return case.model(jnp.asarray(case.x), b) - jnp.asarray(case.y), Health(jnp.array(True), jnp.array(1), jnp.array(0.0))
+
+        problem = Problem(started, residuals, {"data": slice(0, len(case.y))}, {"data": "assumed"})
+        found = fit(problem, max_steps=400, gradient_tolerance=1e-9)
+        known = uncertainty(found).estimates
+        values.append(max(abs(one.value / exact - 1) for one, exact in zip(known, case.values, strict=True)))
+        errors.append(max(abs(one.standard_error / exact - 1) for one, exact in zip(known, case.deviations, strict=True)))
+    yield at_least("NIST: digits of the parameters, worst of all", -math.log10(max(values)), "1", 6.0, f"{len(CERTIFIED)} sets")
+    yield at_least("NIST: digits of the standard errors, worst of all", -math.log10(max(errors)), "1", 4.0)
+
+
+# ---- recovery ----
+
+
+def recovery(study: Study, repeats: int, fine: bool) -> Iterator[Figure]:
+    """Fits to data of the brick program with new noise each time; the discretisation's own share is the fit to its data without noise."""
+    truth = yaml.safe_load(TRUTH.read_text())
+    clean = {"cylinder_3mm": "cylinder_3_profile", "cylinder_9mm": "cylinder_9_profile", "plate_force": "plate_force"}
+    measured = tuple(_first_trial(one, truth["noiseless"][clean[one.name]]) for one in study.measurements)
+    ready = assemble(_on(study, measured, PAPER if fine else COARSE))
+    found = fit(ready.problem())
+    raw = np.log([truth["moduli_MPa"][name.partition(".")[0]] for name in found.problem.names])
+    error = np.sqrt(uncertainty(found).covariance.diagonal())
+    note = f"{len(ready.finger.nodes)} nodes, {repeats} repeats; {found.reason}"
+    ends = _redrawn(found, repeats)
+    inside = np.abs(ends - found.raw) <= 1.96 * error
+    exact = np.abs(ends - raw) <= 1.96 * error
+    bias = np.abs(ends.mean(axis=0) - found.raw) / error
+    yield between("recovery: 95 % interval holds the fit to the same data without noise", 100 * inside.mean(), "%", 93.0, 97.0, note)
+    yield at_most("recovery: largest bias over standard error, from the same", bias.max(), "1", 0.25, f"{repeats} repeats")
+    yield Figure("recovery: 95 % interval holds the truth", 100 * float(exact.mean()), "%")
+    for name, off, size in zip(found.problem.names, np.expm1(found.raw - raw), error, strict=True):
+        yield Figure(f"recovery: {name}, discretisation error", 100 * float(off), "%", note=f"standard error {100 * size:.2g} %")
+
+
+def _first_trial(one: Measurement, reading: list[float]) -> Measurement:
+    """The rows of the first trial, with readings that have no noise in them."""
+    kept = np.flatnonzero(one.table["trial"] == one.table["trial"][0])
+    table = {name: column[kept] for name, column in one.table.items() if name != "trial"}
+    assert one.sigma is not None
+    return dataclasses.replace(one, table={**table, one.value: np.array(reading)}, sigma=one.sigma[kept], rows=one.rows[kept])
+
+
+def _redrawn(found: Fit, repeats: int) -> np.ndarray:
+    """(repeats, p): raw values of fits to the same readings with new noise."""
+    random = np.random.default_rng(SEED)
+    ends = []
+    for _ in range(repeats):
+        noise = random.standard_normal(found.residual.size)
+        ends.append(fit(found.problem, start=found.raw, weighing=Redrawn(noise), gradient_tolerance=1e-4).raw)
+    return np.array(ends)
+
+
+def _on(study: Study, measured: tuple[Measurement, ...], mesh: MeshResolution, free: tuple[str, ...] = NAMES) -> Study:
+    finger = study.finger.model_copy(update={"resolution": mesh})
+    return dataclasses.replace(study, kind="fit", finger=finger, measurements=measured, fit=Fitted(free=free), options=None)
+
+
+# ---- the grid ----
+
+
+def beside_the_grid(study: Study, decades: tuple[int, ...], every: bool, fine: bool) -> Iterator[Figure]:
+    """The fit of four moduli to four depths under a line, profile and force, beside all powers of ten."""
+    ready = _with_own_data(assemble(_on(study, (wedge_profile((0.5, 1.0, 1.5, 2.0)), wedge_force()), PAPER if fine else COARSE)))
+    problem = ready.problem()
+    fit(problem, max_steps=1)  # compiles
+    ready.predict()
+    began = time.perf_counter()
+    found = fit(problem)
+    seconds = time.perf_counter() - began
+    tried = grid(ready, decades, share=not every)
+    alone = tried.seconds / tried.solves
+    known = uncertainty(found)
+    cost = f"fit {seconds:.1f} s, {found.evaluations} runs; grid {tried.seconds:.1f} s, {tried.solves} solves"
+    note = f"{len(ready.finger.nodes)} nodes; {cost}"
+    yield at_least("grid of 256 over the fit, time", 256 * alone / seconds, "1", 50.0, note)
+    yield Figure("a run of the model with its Jacobian over one without", seconds / found.evaluations / alone, "1")
+    yield at_least("best of the grid over the fit, chi-square", tried.best.chi2 / found.chi2, "1", 1.0, tried.best.name)
+    yield at_least("moduli of the fit with an interval", sum(one.identified for one in known.estimates), "1", 4.0)
+    worst = max(abs(math.log(one.value / MODULI[one.name])) for one in known.estimates)
+    nearest = max(abs(math.log(tried.best.moduli[layer] / MODULI[f"{layer}.modulus"])) for layer in SOFT_LAYERS)
+    yield Figure("largest error of a modulus, fit", 100 * math.expm1(worst), "%")
+    yield Figure("largest error of a modulus, grid", 100 * math.expm1(nearest), "%")
+
+
+def wedge_profile(depths: tuple[float, ...], name: str = "profile") -> Measurement:
+    along = np.arange(-4.0, 4.01, 0.5)
+    depth = np.repeat(depths, len(along))
+    columns = {"depth": depth, "distance": np.tile(along, len(depths)), "deflection": np.zeros(len(depth))}
+    return _asked(name, "deflection_profile", columns, "deflection", 0.01 * max(depths), _wedge())
+
+
+def wedge_force() -> Measurement:
+    columns = {"displacement": np.array([0.5, 1.0, 1.5, 2.0]), "force": np.zeros(4)}
+    return _asked("force", "force_displacement", columns, "force", 0.001, _wedge())
+
+
+def pressed(name: str, spec: IndenterSpec, travel: float, sigma: float = 0.002) -> Measurement:
+    columns = {"displacement": np.array([travel]), "force": np.zeros(1)}
+    return _asked(name, "force_displacement", columns, "force", sigma, spec)
+
+
+def _wedge() -> IndenterSpec:
+    return IndenterSpec("line", {"width": 0.05}, "x")
+
+
+def _asked(name: str, kind: str, columns: dict[str, np.ndarray], value: str, sigma: float, spec: IndenterSpec) -> Measurement:
+    spread = np.full(len(columns[value]), sigma)
+    return Measurement(name, kind, columns, value, spread, {"": spec}, "displacement", "z", None, None)
+
+
+def _with_own_data(ready: Assembled, moduli: dict[str, float] = MODULI) -> Assembled:
+    """The study with its own readings at given moduli, and noise of the stated size."""
+    random, prediction = np.random.default_rng(SEED), ready.predict(moduli)
+    measured = []
+    for one, reading in zip(ready.study.measurements, prediction.readings, strict=True):
+        noisy = np.asarray(reading) + noise_of(one)[0] * random.standard_normal(len(one))
+        measured.append(dataclasses.replace(one, table={**one.table, one.value: noisy}))
+    return dataclasses.replace(ready, study=dataclasses.replace(ready.study, measurements=tuple(measured)))
+
+
+# ---- intervals three ways ----
+
+
+def three_ways(studies: dict[str, Study], repeats: int, fine: bool) -> Iterator[Figure]:
+    """Widths of the profile's and the bootstrap's interval over the linearised one, of the measured set, if there, and the simulated."""
+    real = studies["layer_ratios"]
+    for study in (*(() if real.missing_data else (real,)), studies["layer_ratios_simulated"]):
+        resolution = study.finger.resolution if fine else COARSE
+        ready = assemble(dataclasses.replace(study, finger=study.finger.model_copy(update={"resolution": resolution})))
+        found = fit(ready.problem())
+        if not found.settled:
+            yield Figure(f"{study.name}: intervals", math.nan, "1", "an optimum", False, found.reason)
+            continue
+        known, again = uncertainty(found), bootstrap(found, repeats=repeats, seed=SEED)
+        for line in profiles(found):
+            name = line.parameter.name
+            note = f"{len(ready.finger.nodes)} nodes; {known[name].value:.3g} MPa ({line.lower:.3g} to {line.upper:.3g}); {line.verdict()}"
+            wide = agreement(known, name, line.lower, line.upper) if line.bounded else math.nan
+            yield between(f"{study.name}: {name}, profile over linearised", wide, "1", 1 - REGULAR, 1 + REGULAR, note)
+            often = agreement(known, name, *again.interval(name))
+            yield between(f"{study.name}: {name}, bootstrap over linearised", often, "1", 1 - REGULAR, 1 + REGULAR, f"{repeats} repeats")
+
+
+# ---- the next experiment ----
+
+
+def next_experiment(study: Study, repeats: int, fine: bool) -> Iterator[Figure]:
+    """A third experiment chosen after two, made again and again: the standard error of one modulus against what was predicted of it."""
+    base = (wedge_profile((1.0,)), pressed("plate", IndenterSpec("flat_plate"), 0.8))
+    candidates = (
+        pressed("plate_deep", IndenterSpec("flat_plate"), 1.5),
+        pressed("ball", IndenterSpec("sphere", {"radius": 2.0}), 1.0),
+        pressed("small_ball", IndenterSpec("sphere", {"radius": 1.0}), 0.6),
+        pressed("bar", IndenterSpec("cylinder", {"radius": 1.5}, "x"), 1.0),
+        wedge_profile((2.0,), "deep_profile"),
+        wedge_profile((0.5,), "shallow_profile"),
+    )
+    aim = "adipose.modulus"
+    ready = _with_own_data(assemble(_on(study, (*base, *candidates), PAPER if fine else COARSE)))
+    problem, blocks = ready.problem(), {one.name: ready.problem().blocks[one.name] for one in (*base, *candidates)}
+    known = _chosen(blocks, [one.name for one in base])
+    first = fit(problem, weighing=Counted(known))
+    seen = {one.name: first.jacobian[blocks[one.name]] for one in candidates}
+    advice = recommend(_only(first, known), seen, criterion="c", target=aim, choose=1)
+    best, j = advice.best[0].names[0], first.problem.names.index(aim)
+    promised = math.sqrt(advice.best[0].covariance[j, j])
+    ends, errors, beaten = _made(first, blocks, [one.name for one in base], [one.name for one in candidates], best, repeats)
+    note = f"{best}; {len(ready.finger.nodes)} nodes, {repeats} repeats; interval times {advice.narrowing(advice.best[0]):.2f}"
+    yield between("next experiment: standard error over what was predicted", float(np.mean(errors)) / promised, "1", 0.9, 1.1, note)
+    yield Figure("next experiment: scatter of the repeats over what was predicted", float(np.std(ends, ddof=1)) / promised, "1")
+    yield at_least("next experiment: better than one chosen at random", 100 * beaten / repeats, "%", 95.0)
+
+
+def _chosen(blocks: dict[str, slice], names: list[str]) -> np.ndarray:
+    weight = np.zeros(max(rows.stop for rows in blocks.values()))
+    for name in names:
+        weight[blocks[name]] = 1.0
+    return weight
+
+
+def _only(found: Fit, weight: np.ndarray) -> Fit:
+    """The fit as if the rows that were left out had never been there."""
+    kept = weight > 0
+    problem = dataclasses.replace(found.problem, blocks={"kept": slice(0, int(kept.sum()))}, sigma_source={"kept": "stated"})
+    return dataclasses.replace(found, problem=problem, residual=found.residual[kept], jacobian=found.jacobian[kept])
+
+
+def _made(
+    first: Fit, blocks: dict[str, slice], base: list[str], others: list[str], best: str, repeats: int
+) -> tuple[list[float], list[float], int]:
+    """(values of the target, its standard errors, how often they were below those of a random choice) over repeats with new noise."""
+    random, j = np.random.default_rng(SEED), first.problem.names.index("adipose.modulus")
+    truth, ends, errors, beaten = first.residual, [], [], 0
+    for _ in range(repeats):
+        weight = _chosen(blocks, [*base, best])
+        new = Redrawn(truth + random.standard_normal(truth.size))
+        found = fit(first.problem, start=first.raw, weighing=Chain(new, Counted(weight)), gradient_tolerance=1e-4)
+        errors.append(_error(found, weight, j))
+        rival = _chosen(blocks, [*base, str(random.choice([name for name in others if name != best]))])
+        beaten += errors[-1] < _error(found, rival, j)
+        ends.append(float(found.raw[j]))
+    return ends, errors, beaten
+
+
+def _error(found: Fit, weight: np.ndarray, j: int) -> float:
+    J = found.jacobian[weight > 0]
+    return math.sqrt(float(np.linalg.inv(J.T @ J)[j, j]))
+
+
+# ---- what cannot be seen ----
+
+
+def not_seen(study: Study) -> Iterator[Figure]:
+    """Two layers fitted to one force: said to be seen in one combination, by name, and by their profile."""
+    two = ("dermis.modulus", "adipose.modulus")
+    ready = _with_own_data(assemble(_on(study, (pressed("plate", IndenterSpec("flat_plate"), 0.8),), COARSE, two)))
+    found = fit(ready.problem())
+    said = sentences(found) + list(uncertainty(found).sentences)
+    named = any(two[0] in each and two[1] in each for each in said)
+    yield at_least("one force for two layers: both named as not told apart", float(named), "1", 1.0, "; ".join(said) or "nothing was said")
+    lines = profiles(found) if found.settled else ()
+    yield at_least("one force for two layers: profiles that say so", sum(not one.identified for one in lines), "1", 1.0)
+
+
+if __name__ == "__main__":
+    given = sys.argv[1:]
+
+    def everything(quick: bool) -> Iterator[Figure]:
+        return main(quick, full="--full" in given)
+
+    run(everything, [one for one in given if one != "--full"])
