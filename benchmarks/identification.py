@@ -131,7 +131,7 @@ def _on(study: Study, measured: tuple[Measurement, ...], mesh: MeshResolution, f
 
 
 def beside_the_grid(study: Study, decades: tuple[int, ...], every: bool, fine: bool) -> Iterator[Figure]:
-    """The fit of four moduli to four depths under a line, profile and force, beside all powers of ten."""
+    """The fit of four moduli to four depths under a blunt line, profile and force, beside all powers of ten."""
     ready = _with_own_data(assemble(_on(study, (wedge_profile((0.5, 1.0, 1.5, 2.0)), wedge_force()), PAPER if fine else COARSE)))
     problem = ready.problem()
     fit(problem, max_steps=1)  # compiles
@@ -172,7 +172,8 @@ def pressed(name: str, spec: IndenterSpec, travel: float, sigma: float = 0.002) 
 
 
 def _wedge() -> IndenterSpec:
-    return IndenterSpec("line", {"width": 0.05}, "x")
+    """A blunt one: under the sharp wedge the mesh is refined to four times the nodes that the goal is set for."""
+    return IndenterSpec("cylinder", {"radius": 1.0}, "x")
 
 
 def _asked(name: str, kind: str, columns: dict[str, np.ndarray], value: str, sigma: float, spec: IndenterSpec) -> Measurement:

@@ -107,6 +107,15 @@ def test_an_interval_of_decades_is_no_identification() -> None:
     assert one.verdict().startswith("slope is practically not identifiable: anything from")
 
 
+def test_from_a_plateau_the_end_is_found_however_far() -> None:
+    tiny = Parameter("threshold", 1e-3, "MPa", "log", 1e-9, 1e9)
+    found = fit(problem(lambda b: X - 0.01 * b[0], X + 0.01, [tiny], 0.1))
+    one = profile(found, "threshold")
+    assert found.limits == {"threshold": "lower"} and one.ends == ("limit", "found")
+    rise = np.sum((0.1 * one.upper + 0.1) ** 2 * np.ones(len(X))) - found.chi2
+    assert rise == pytest.approx(1.96**2, rel=5e-2) and "at most" in one.verdict()
+
+
 def test_a_limit_ends_a_profile() -> None:
     tight = [Parameter("slope", 1.0, "1", "log", 0.5, 2.001), Parameter("offset", 1.0, "1", "identity", -9.0, 9.0)]
     found = fit(problem(lambda b: b[0] * X + b[1], 1.99 * X + 1.0, tight, 0.5))

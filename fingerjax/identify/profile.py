@@ -25,7 +25,8 @@ from .uncertainty import VAGUE, Uncertainty, uncertainty
 
 REACH = math.log(1000.0)  # of a log or logit parameter from its best value: farther nobody looks
 CLOSE = 0.02  # share of t within which a point counts as the end
-POINTS = 9  # on one side
+SHORT = 0.05  # and by how much of a logarithm the end may then still be corrected
+POINTS = 14  # on one side
 LEVEL = 1e-4  # relative gradient at which a point of the profile is level: chi2 is then right to its square
 FIRST = 0.5  # step of a parameter without a standard error: of its logarithm, or of its size
 
@@ -174,20 +175,24 @@ class _Way:
         before = self.best.raw
         if not last > 0:
             return LIMIT, limit
-        for _ in range(POINTS):
+        for number in range(POINTS):
             root, before = self._hold(side, x, before)
-            if math.isnan(root):
+            if math.isnan(root) or not math.isfinite(x):
                 return FAILED, math.nan
             if abs(root - self.t) <= CLOSE * self.t:
-                return FOUND, self.centre + side * (inner[0] + (x - inner[0]) * (self.t - inner[1]) / (root - inner[1]))
+                near = inner if outer is None or x - inner[0] < outer[0] - x else outer
+                left = (self.t - root) * (x - near[0]) / (root - near[1])
+                if self.parameter.link == "identity" or abs(left) <= SHORT:
+                    return FOUND, self.centre + side * (x + left)
             if root < self.t and x >= last:
-                return (LIMIT, limit) if math.isfinite(limit) and last < REACH else (OPEN, math.nan)
+                return (LIMIT, limit) if last == abs(limit - self.centre) else (OPEN, math.nan)
             inner, outer = ((x, root), outer) if root < self.t else (inner, (x, root))
             if outer is None:
                 grown = inner[0] * float(np.clip(self.t / max(inner[1], 1e-9), 1.1, 4.0))
                 x = min(grown, last)
             else:
-                x = _between(inner, outer, self.t)
+                crooked = number % 3 == 2 or outer[1] > 4 * self.t
+                x = 0.5 * (inner[0] + outer[0]) if crooked else _between(inner, outer, self.t)
         return (FAILED, math.nan) if outer is None else (FOUND, self.centre + side * _between(inner, outer, self.t))
 
     def _limit(self, side: int) -> tuple[float, float]:
@@ -197,6 +202,7 @@ class _Way:
         if self.best.limits.get(self.name) == ("lower" if side < 0 else "upper"):
             return limit, 0.0
         far = REACH if self.parameter.link != "identity" else 1000 * self.step
+        far = math.inf if self.name in self.best.limits else far  # from a plateau the data may be far away
         return limit, min(abs(limit - self.centre), far)
 
     def _hold(self, side: int, x: float, before: np.ndarray) -> tuple[float, np.ndarray]:
