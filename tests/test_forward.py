@@ -235,7 +235,7 @@ def test_a_solve_cut_short_ends_the_fit_and_leaves_no_value(
     ended = fit(problem)
     assert ended.result is RESULTS.not_converged
     assert all(math.isnan(value) for value in ended.values.values())
-    monkeypatch.setattr(fitting, "assemble", lambda study: cut)
+    monkeypatch.setattr(fitting, "assemble", lambda study, **_: cut)
     check_without_numbers(fit_study(plate.study, context(tmp_path)), RESULTS.not_converged)
     check_without_numbers(predict_study(plate.study, context(tmp_path)), RESULTS.not_converged)
 
@@ -268,7 +268,7 @@ def test_contact_that_reaches_the_edge_is_said_and_gives_no_numbers(
     prediction = deep.predict()
     assert prediction.converged and prediction.settled and not prediction.inside and not prediction.health.converged
     assert complaint(prediction) is RESULTS.contact_reached_edge
-    monkeypatch.setattr(fitting, "assemble", lambda study: deep)
+    monkeypatch.setattr(fitting, "assemble", lambda study, **_: deep)
     check_without_numbers(predict_study(plate.study, context(tmp_path)), RESULTS.contact_reached_edge)
     assert fit(deep.problem()).result is not RESULTS.successful
 

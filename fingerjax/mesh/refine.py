@@ -22,7 +22,7 @@ from fingerjax.mesh.columns import INSIDE, Columns
 from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
 PASSES = 400
-FLATTEST = 0.1  # of a cut element's volume, that each half must keep: on the chord it is a half
+FLATTEST = 0.02  # of a cut element's volume, that each half must keep: on the chord it is a half
 
 
 @dataclass(frozen=True)
@@ -182,6 +182,7 @@ def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray)
         feet=np.concatenate([mesh.feet, feet]),
         t=np.concatenate([mesh.t, t]),
         vertices=vertices,
+        notes=mesh.notes | {"on_chord": mesh.notes.get("on_chord", 0) + len(on_chord)},
         tets=np.concatenate([mesh.tets[keep], first, second]),
         layer=np.concatenate([mesh.layer[keep], np.tile(mesh.layer[element], 2)]),
     )
