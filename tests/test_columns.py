@@ -52,7 +52,8 @@ def check(solid: LayeredSolid, finger: Finger) -> None:
 
 
 def check_surfaces(solid: LayeredSolid, finger: Finger) -> None:
-    off = np.abs(solid.level(0, finger.nodes[np.unique(finger.skin)]))
+    skin = np.unique(finger.skin)
+    off = np.abs(solid.level(0, finger.nodes[skin]))
     assert (off > 1e-6).sum() <= finger.quality.get("on_chord", 0) and off.max() < 0.1
     a, b, c = (finger.nodes[finger.skin[:, i]] for i in range(3))
     outwards = (a + b + c) / 3.0
