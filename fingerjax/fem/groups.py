@@ -1,7 +1,7 @@
 """Groups of nodes that hold fast to one another, solved together when an error is smoothed.
 
 Thin layers are meshed with flat elements, whose nodes across the layer are coupled far more strongly than those along it; smoothing node
-by node then takes hundreds of iterations, and inverting the stiffness of each strong group instead takes some tens.
+by node then hardly converges, and inverting the stiffness of each strong group instead does.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Hierarchy(eqx.Module):
 
 
 def hierarchy(body: Body, *, coarsest: int = 900) -> Hierarchy:
-    """Build the transfers of a body on the host; about a second for ten thousand nodes.
+    """Build the transfers of a body on the host, once for a mesh.
 
     `coarsest` bounds the unknowns of the last level, which is factorised densely at every change of the moduli.
     """

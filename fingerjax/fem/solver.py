@@ -1,8 +1,8 @@
 """Two ways to find the displacement under given nodal forces, behind one interface.
 
 - `MultigridCG`: matrix-free conjugate gradients with a multigrid V-cycle, compiled, no extra package. The default and the reference.
-- `Factorised`: a sparse Cholesky factorisation on the host (MKL PARDISO, the extra `direct`), unbeaten below about thirty thousand
-  nodes when many loads are asked for at once, and the way to condense a skin that is touched at hundreds of places.
+- `Factorised`: a sparse Cholesky factorisation on the host (MKL PARDISO, the extra `direct`), the faster one when many loads are asked
+  for at once, and the way to condense a skin that is touched at hundreds of places. `python -m benchmarks.peers` compares the two.
 
 Where JAX sees several devices, `Shared` deals load cases out among them. All return the true residual. None is differentiated:
 derivatives come from the implicit rule in `displacement` and from the closed forms in `compliance` and `condensed`.
@@ -106,6 +106,8 @@ class MultigridCG(AbstractSolver):
     - `tolerance`: the residual's norm relative to the load's.
     - `max_steps`: a solve cut short here is returned as not converged.
     - `batch`: how many loads advance together.
+    - `last`: columns begin where they ended at the last moduli, so that what `reduce` answers depends on what was asked before, within
+      the tolerance; take a tighter one where differences of answers are wanted.
     """
 
     frozen: Hierarchy
