@@ -45,13 +45,15 @@ def press(
     travel: Float[Array, ""] | float | None = None,
     force: Float[Array, ""] | float | None = None,
     start: Bool[Array, " k"] | None = None,
+    series: Float[Array, ""] | float = 0.0,
     glued: bool = False,
     max_steps: int = 500,
 ) -> Contact:
     """Press to a `travel` in mm from first contact, or with a `force` in N (exactly one of the two).
 
     `compliance_pp` in mm/N takes forces along +y on the pad nodes to their displacements along +y. `start` is
-    the active set of a neighbouring contact. With `glued` the displacement is prescribed wherever the
+    the active set of a neighbouring contact; `series` mm/N what the apparatus gives way, as part of the
+    travel. With `glued` the displacement is prescribed wherever the
     undeformed skin would be overlapped, as under a line of prescribed displacement; travel must then be
     given.
 
@@ -64,7 +66,7 @@ def press(
     # Unknowns are hat forces and mean gaps: newtons and millimetres, whatever the size of a hat.
     load = interface.load / area
     compliance = load.T @ compliance_pp @ load
-    compliance = 0.5 * (compliance + compliance.T)
+    compliance = 0.5 * (compliance + compliance.T) + series
     overlap = jnp.where(present, interface.overlap / area, -1e3)
     if glued and travel is not None:
         found = held(compliance, overlap, travel)

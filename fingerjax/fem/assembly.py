@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
 
 from .body import Body
+from .springs import Springs
 
 CHUNK = 20_000  # elements whose matrices are held at a time
 
@@ -56,7 +58,7 @@ class Assembled:
         self._slot = np.full(9 * len(pairs), -1)  # of each entry of each node pair's block, among the matrix's own
         self._slot[pattern.data - 1] = np.arange(pattern.nnz)
         self._block = block.reshape(len(tets), tets.shape[1], tets.shape[1])
-        self._pattern = pattern
+        self._pattern, self.upper, self.unknowns = pattern, upper, 3 * nodes
         self._sum(body)
 
     def _sum(self, body: Body) -> None:
@@ -69,11 +71,28 @@ class Assembled:
         self._layer, self._place = np.divmod(kept, self._pattern.nnz)
         self._volumetric, self._shear = (np.bincount(where, part.ravel()[used]) for part in element_matrices(body))
 
-    def matrix(self, lame: np.ndarray) -> sp.csr_matrix:
-        """The stiffness, N/mm, for Lame parameters (2, layers), MPa."""
+    def matrix(self, lame: np.ndarray, springs: Springs | None = None) -> sp.csr_matrix:
+        """The stiffness, N/mm, for Lame parameters (2, layers), MPa, and of springs between nodes of the same elements."""
         lam, mu = np.asarray(lame)[:, self._layer]
         data = np.bincount(self._place, lam * self._volumetric + mu * self._shear, self._pattern.nnz)
+        if springs is not None:
+            place, kept = self._sought(np.asarray(springs.row), np.asarray(springs.column))
+            data += np.bincount(place, np.asarray(springs.at(jnp.asarray(lame)))[kept], self._pattern.nnz)
         return self._holding(data)
+
+    def _sought(self, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where entries between unknowns stand among the matrix's own, and which of them are in it at all."""
+        number = np.full(int(self.unknowns), -1)
+        number[self.free] = np.arange(len(self.free))
+        row, column = number[row], number[column]
+        kept = (row >= 0) & (column >= 0) & ((column >= row) | (not self.upper))
+        size = self._pattern.shape[0]
+        own = np.repeat(np.arange(size), np.diff(self._pattern.indptr)) * np.int64(size) + self._pattern.indices
+        wanted = row[kept] * np.int64(size) + column[kept]
+        place = np.searchsorted(own, wanted)
+        if not np.array_equal(own[np.minimum(place, len(own) - 1)], wanted):
+            raise ValueError("springs join nodes that share no element")
+        return place, kept
 
     def filled(self, elements: np.ndarray) -> sp.csr_matrix:
         """The matrix that given element matrices (e, 3a, 3a), N/mm, add up to."""

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..finger import Finger
 from ..layers import BONE, LAYERS
 from . import element
+from .springs import Springs
 
 BONES = ("rigid", "held", "elastic")
 DILATATIONS = ("pointwise", "mean")
@@ -48,6 +49,7 @@ class Body(eqx.Module):
     - `slopes` (q, a, 3): reference gradients; `inverse_along` (q or 1, k, j, e): d reference k / d position j, 1/mm;
       `weight_along` (q, e): quadrature weight times Jacobian, mm^3. Elements come last, so that arithmetic runs along them.
     - `dilatation`: the change of volume that Lame's first parameter acts on, at each quadrature point or as the mean over the element.
+    - `springs`: stiffness beside that of the elements.
     """
 
     tets: Int[Array, "elements corners"]
@@ -59,6 +61,7 @@ class Body(eqx.Module):
     inverse_along: Float[Array, "_ 3 3 elements"]
     weight_along: Float[Array, "points elements"]
     dilatation: str = eqx.field(static=True, default="pointwise")
+    springs: Springs | None = None
 
     @property
     def inverse(self) -> Float[Array, "elements _ 3 3"]:
@@ -155,4 +158,11 @@ def assemble_body(
     )
 
 
-__all__ = ["BONE", "Body", "Material", "assemble_body", "body", "material"]
+
+def reinforced(body: Body, springs: Springs) -> Body:
+    """A body with more stiffness beside that of its elements."""
+    together = springs if body.springs is None else body.springs + springs
+    return eqx.tree_at(lambda one: one.springs, body, together, is_leaf=lambda leaf: leaf is None)
+
+
+__all__ = ["BONE", "Body", "Material", "assemble_body", "body", "material", "reinforced"]

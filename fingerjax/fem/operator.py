@@ -43,7 +43,7 @@ def stress(body: Body, lame: Lame, gradient: Float[Array, "elements points 3 3"]
 
 
 def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
-    """Nodal forces, N, that hold the displacement `u`, mm; on supports these are the reactions.
+    """Nodal forces, N, that hold the displacement `u`, mm; on supports these are the reactions. Linear in the moduli.
 
     Between two products with the reference gradients, which are one dense matrix for all elements, everything runs along the elements.
     """
@@ -53,7 +53,9 @@ def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[
     gradient = jax.lax.optimization_barrier((reference @ moved.reshape(corners, -1)).reshape(points, 3, 3, -1))  # q, k reference axis, i, e
     pulled = jax.lax.optimization_barrier(_pulled_back(body, lame, gradient)).reshape(3 * points, -1)
     forces = (reference.T @ pulled).reshape(corners, 3, -1)
-    return accumulate(body, jnp.transpose(forces, (2, 0, 1)))
+    elastic = accumulate(body, jnp.transpose(forces, (2, 0, 1)))
+    springs = body.springs
+    return elastic if springs is None else elastic + springs.force(springs.at(lame, fixed=False), u)
 
 
 def _pulled_back(body: Body, lame: Lame, gradient: Float[Array, "points 3 3 elements"]) -> Float[Array, "points 3 3 elements"]:

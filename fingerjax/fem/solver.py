@@ -135,7 +135,7 @@ class MultigridCG(AbstractSolver):
 
     def _product(self, stiffness: AbstractStiffness) -> Callable[[Field], Field]:
         """The stiffness between free nodes: assembled for linear tetrahedra, matrix-free for quadratic ones, as each is faster."""
-        if isinstance(stiffness, Elastic) and stiffness.body.order == 1:
+        if isinstance(stiffness, Elastic) and stiffness.body.order == 1 and stiffness.body.springs is None:
             rows = self.frozen.corners.rows(jnp.asarray(stiffness.lame))
             return lambda u: self.frozen.corners.multiply(rows, u)
         free = stiffness.body.free[:, None]

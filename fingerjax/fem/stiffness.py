@@ -42,10 +42,14 @@ class Elastic(AbstractStiffness):
     lame: Array | np.ndarray
 
     def __call__(self, u: Field) -> Field:
-        return operator.internal_force(self.body, jnp.asarray(self.lame), u)
+        elastic, springs = operator.internal_force(self.body, jnp.asarray(self.lame), u), self.body.springs
+        if springs is None:
+            return elastic
+        constant = jnp.where(springs.layer < 0, springs.value, 0.0)
+        return elastic + springs.force(constant, u)
 
     def matrix(self, pattern: Assembled) -> sp.csr_matrix:
-        return pattern.matrix(np.asarray(self.lame))
+        return pattern.matrix(np.asarray(self.lame), self.body.springs)
 
 
 class Tangent(AbstractStiffness):

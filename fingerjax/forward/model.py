@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..effects.added import NONE, Effects
 from ..errors import InputError
 from ..fem.body import Body, body
 from ..fem.columns import Columns, columns_from_matrix
@@ -53,12 +54,13 @@ class Model(eqx.Module):
         """The model with its solves and contacts at these values done: it holds there, and so do derivatives in the `moving` names."""
         lame = [tissue.lame() for tissue in self.instruments.materials(values)]
         bodies = [self.solver.condense(self.body, each, self.columns) for each in lame]
-        return Solved(self.instruments, settle(self.instruments.rigs, bodies, self.body, self._directions(values, moving)))
+        known = settle(self.instruments.rigs, bodies, self.body, self._directions(values, moving), self.instruments.added, values)
+        return Solved(self.instruments, known)
 
     def _directions(self, values: Values, moving: tuple[str, ...]) -> Float[Array, "variants d 2 layers"]:
         """Orthonormal directions that span how each variant's Lame parameters follow the moving values."""
         here = {name: jnp.asarray(values[name], float) for name in moving if name in values}
-        slope = _lame_slopes(self.wired, self.instruments.variants, here, dict(values))
+        slope = _lame_slopes(self.instruments, here, dict(values))
         variants = len(self.instruments.variants)
         flat = np.zeros((variants, 0, 2 * len(LAYERS)))
         if slope:
@@ -68,9 +70,9 @@ class Model(eqx.Module):
         return jnp.asarray(basis[:, :rank].reshape(variants, rank, 2, len(LAYERS)))
 
 
-def _lame_slopes(wired: Wiring, variants: tuple, here: dict[str, Array], values: dict[str, Any]) -> dict[str, Array]:
+def _lame_slopes(instruments: Instruments, here: dict[str, Array], values: dict[str, Any]) -> dict[str, Array]:
     def lame(moved: dict[str, Array]) -> Array:
-        return jnp.stack([wired.material(dict(labels), values | moved).lame() for labels in variants])
+        return jnp.stack([tissue.lame() for tissue in instruments.materials(values | moved)])
 
     return {name: part for name, part in jax.jacfwd(lame)(here).items() if np.any(np.asarray(part) != 0)} if here else {}
 
@@ -104,12 +106,17 @@ class Residuals(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Assembled:
-    """A study with its mesh and model: what runs, reports and notebooks work with."""
+    """A study with its mesh and model: what runs, reports and notebooks work with.
+
+    `mesh` is the finger as it was meshed, with its bone and before any of the `effects`.
+    """
 
     study: Study
     solid: LayeredSolid
     finger: Finger
     model: Model
+    mesh: Finger
+    effects: Effects = NONE
 
     def predict(self, values: Values | None = None, quantity: str = "strain_energy_density") -> Prediction:
         """All readings at these values, compiled."""
@@ -224,12 +231,18 @@ def assemble(study: Study, *, solver: str = "auto", tell: Tell = unheard) -> Ass
     return lay_out(study, solid, finger, wired, solver)
 
 
-def lay_out(study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, solver: str = "auto") -> Assembled:
-    """A study on a mesh that is already there."""
-    bone = study.model.bone_kind()
+def lay_out(
+    study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, solver: str = "auto", effects: Effects = NONE
+) -> Assembled:
+    """A study on a mesh that is already there, with effects in it.
+
+    **Raises** `ValueError` where an effect turns elements inside out.
+    """
+    bone, whole = study.model.bone_kind(), finger
+    finger = effects.shape(finger, solid)
     finger = finger if bone == "elastic" else finger.without_bone()
-    tissue = body(finger, bone=bone)
-    laid = lay(plans(study.measurements, solid, wired), finger, tissue, solid)
+    tissue = effects.support(body(finger, bone=bone), finger, solid)
+    laid = lay([effects.plan(plan, solid) for plan in plans(study.measurements, solid, wired)], finger, tissue, solid)
     model = Model(
         body=tissue,
         solver=solver_for(tissue, solver),
@@ -241,9 +254,10 @@ def lay_out(study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, so
             names=tuple(one.name for one in study.measurements),
             lengths=tuple(len(one) for one in study.measurements),
             receptor_layer=tuple(laid.receptor_layer.items()),
+            added=effects.added,
         ),
     )
-    return Assembled(study, solid, finger, model)
+    return Assembled(study, solid, finger, model, whole, effects)
 
 
 def _check_labels(study: Study, wired: Wiring) -> None:

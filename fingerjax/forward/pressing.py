@@ -6,6 +6,10 @@ the way in which the readings move with the material under those forces - is all
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,9 +18,13 @@ from jaxtyping import Array, Bool, Float
 
 from ..contact.footprint import Interface
 from ..contact.indentation import Contact, press
+from ..effects.added import Added
+from ..effects.records import Push
 from ..fem.body import Body
 from ..fem.condensed import AbstractCondensed, Held, slopes
 from .rigs import Rig
+
+NOTHING, EMPTY = Added(), MappingProxyType[str, Any]({})
 
 
 class Settled(eqx.Module):
@@ -45,10 +53,17 @@ class Known(eqx.Module):
         return jnp.einsum("vdij,vij->vd", self.directions, jnp.stack(moved))
 
 
-def settle(rigs: tuple[Rig, ...], bodies: list[AbstractCondensed], body: Body, directions: Float[Array, "variants d 2 layers"]) -> Known:
+def settle(
+    rigs: tuple[Rig, ...],
+    bodies: list[AbstractCondensed],
+    body: Body,
+    directions: Float[Array, "variants d 2 layers"],
+    added: Added = NOTHING,
+    values: Mapping[str, Any] = EMPTY,
+) -> Known:
     """Decide every contact, and find how readings move with the material under the forces that it ended with."""
     C = jnp.stack([each.held.matrix for each in bodies])
-    found = [_settle(rig, C) for rig in rigs]
+    found = [_settle(rig, C, added, dict(values)) for rig in rigs]
     slope = [np.zeros((len(forces), directions.shape[1], C.shape[1])) for _, forces in found]
     for variant, condensed in enumerate(bodies):
         chosen = [np.flatnonzero(np.asarray(rig.variant) == variant) for rig in rigs]
@@ -66,17 +81,24 @@ def settle(rigs: tuple[Rig, ...], bodies: list[AbstractCondensed], body: Body, d
 
 
 @eqx.filter_jit
-def _settle(rig: Rig, C: Float[Array, "variants m m"]) -> tuple[Bool[Array, "cases k"], Float[Array, "cases m"]]:
+def _settle(rig: Rig, C: Float[Array, "variants m m"], added: Added, values: dict[str, Any]) -> tuple[Bool[Array, "cases k"], Float[Array, "cases m"]]:
     def one(case: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         pose, imposed, variant = case
-        contact = _push(rig, pose, C[variant], imposed, _geometry(rig, pose), None)
+        contact = _push(rig, pose, C[variant], imposed, _geometry(rig, pose), None, added, values)
         return contact.active, jnp.zeros(C.shape[1]).at[rig.columns[pose]].add(contact.nodal_forces)
 
     return jax.lax.map(one, (rig.pose, rig.imposed, rig.variant))
 
 
-def pressed(rig: Rig, settled: Settled, known: Known, away: Float[Array, "variants d"]) -> tuple[Contact, Float[Array, "cases m"]]:
-    """Every indentation of a rig, and every column's reading under it; differentiable in the material, and in the indenter's shape."""
+def pressed(
+    rig: Rig,
+    settled: Settled,
+    known: Known,
+    away: Float[Array, "variants d"],
+    added: Added = NOTHING,
+    values: Mapping[str, Any] = EMPTY,
+) -> tuple[Contact, Float[Array, "cases m"]]:
+    """Every indentation of a rig, and every column's reading under it; differentiable in the material, the indenter's shape and effects."""
     C = jnp.stack([each.matrix for each in known.held])
 
     def one(case: tuple[Array, ...]) -> tuple[Contact, Array]:
@@ -84,7 +106,7 @@ def pressed(rig: Rig, settled: Settled, known: Known, away: Float[Array, "varian
         columns, geometry = rig.columns[pose], _geometry(rig, pose)
         change = away[variant] @ slope
         shifted = eqx.tree_at(lambda part: part.overlap, geometry, geometry.overlap - geometry.load.T @ change[columns])
-        contact = _push(rig, pose, C[variant], imposed, shifted, active)
+        contact = _push(rig, pose, C[variant], imposed, shifted, active, added, values)
         return contact, C[variant][:, columns] @ contact.nodal_forces + change
 
     return jax.lax.map(one, (rig.pose, rig.imposed, rig.variant, settled.active, settled.slopes))
@@ -94,7 +116,19 @@ def _geometry(rig: Rig, pose: Array) -> Interface:
     return jax.tree.map(lambda leaf: leaf[pose], rig.interface)
 
 
-def _push(rig: Rig, pose: Array, C: Array, imposed: Array, geometry: Interface, start: Array | None) -> Contact:
+def _push(
+    rig: Rig,
+    pose: Array,
+    C: Array,
+    imposed: Array,
+    geometry: Interface,
+    start: Array | None,
+    added: Added,
+    values: Mapping[str, Any],
+) -> Contact:
     columns = rig.columns[pose]
-    force, travel = (imposed, None) if rig.forced else (None, imposed)
-    return press(C[columns[:, None], columns[None, :]], geometry, travel=travel, force=force, start=start)
+    said = Push(imposed, geometry.overlap, geometry.area, jnp.zeros(()), rig.forced, rig.context.measurement)
+    push = added.push(said, values)
+    geometry = eqx.tree_at(lambda part: part.overlap, geometry, push.overlap)
+    force, travel = (push.imposed, None) if rig.forced else (None, push.imposed)
+    return press(C[columns[:, None], columns[None, :]], geometry, travel=travel, force=force, start=start, series=push.series)

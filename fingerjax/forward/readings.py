@@ -7,6 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.indentation import Contact
+from ..effects.added import Added
+from ..effects.records import Felt, Reading
 from ..fem.body import Material
 from ..measure.afferent import rate
 from ..measure.receptor import EVERY
@@ -46,10 +48,11 @@ class Instruments(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     lengths: tuple[int, ...] = eqx.field(static=True)
     receptor_layer: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    added: Added = Added()
 
     def materials(self, values: Values) -> list[Material]:
         """The tissue of each variant: of every subject, say, that has moduli of its own."""
-        return [self.wired.material(dict(labels), values) for labels in self.variants]
+        return [self.added.material(self.wired.material(dict(labels), values), values) for labels in self.variants]
 
     def read(self, known: Known, values: Values, quantity: str = "strain_energy_density") -> Prediction:
         """Every reading at values where the solves are known; names that are missing keep the study's own.
@@ -61,10 +64,11 @@ class Instruments(eqx.Module):
         felt = [jnp.zeros(length) for length in self.lengths]
         settled, inside = jnp.asarray(True), jnp.asarray(True)
         for rig, touching in zip(self.rigs, known.rigs, strict=True):
-            contact, observed = pressed(rig, touching, known, away)
+            contact, observed = pressed(rig, touching, known, away, self.added, values)
             settled, inside = settled & contact.settled.all(), inside & ~contact.reached_edge.any()
             value, sensed = self._rows(rig, contact, observed, values, quantity)
-            readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(value)
+            read = self.added.read(Reading(value, contact.force[rig.case], contact.travel[rig.case], rig.context), values)
+            readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(read.value)
             felt[rig.measurement] = felt[rig.measurement].at[rig.row].set(sensed)
         bodies = known.held
         return Prediction(
@@ -88,7 +92,8 @@ class Instruments(eqx.Module):
         tissues = self.materials(values)
         E = jnp.stack([tissue.youngs_modulus[layer] for tissue in tissues])[rig.variant[rig.case]]
         nu = jnp.stack([tissue.poisson_ratio[layer] for tissue in tissues])[rig.variant[rig.case]]
-        felt = EVERY[quantity](ReceptorState(strain, E, nu))
+        state = ReceptorState(strain, E, nu)
+        felt = self.added.feel(Felt(EVERY[quantity](state), state, rig.context), values).quantity
         return self._rate(rig, felt, values), felt
 
     def _rate(self, rig: Rig, felt: Array, values: Values) -> Array:

@@ -16,6 +16,7 @@ from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, from
 from ..contact.locate import surface_functionals
 from ..contact.pad import Pad, functionals
 from ..contact.reach import Indentation, pad_for, windows
+from ..effects.records import Context
 from ..errors import InputError
 from ..fem.body import Body
 from ..fem.recovery import strain_columns
@@ -47,6 +48,7 @@ class Rig(eqx.Module):
     row: Int[Array, " r"]
     case: Int[Array, " r"]
     reading: Int[Array, " r"]
+    context: Context
     measurement: int = eqx.field(static=True)
     kind: str = eqx.field(static=True)
     forced: bool = eqx.field(static=True)
@@ -276,7 +278,36 @@ def _rig(plan: Plan, columns: Int[Array, "poses p"], geometry: Interface, readin
         row=jnp.asarray(plan.rows),
         case=jnp.asarray(plan.case),
         reading=jnp.asarray(reading),
+        context=_context(plan),
         measurement=plan.index,
         kind=plan.measurement.kind,
         forced=plan.measurement.controlled == "force",
     )
+
+
+def _context(plan: Plan) -> Context:
+    """What the rows of a plan say of themselves; a trace is what shares every label, in the order of time."""
+    measurement, rows = plan.measurement, plan.rows
+    numbers = {name: each[rows] for name, each in measurement.table.items() if np.issubdtype(each.dtype, np.number)}
+    labels = [each[rows].astype(str) for name, each in measurement.table.items() if name not in numbers]
+    trace = np.zeros(len(rows), int)
+    if labels:
+        trace = np.unique(np.column_stack(labels), axis=0, return_inverse=True)[1].reshape(-1)
+    order = np.lexsort((numbers.get("time", np.arange(len(rows))), trace))
+    return Context(
+        table={name: jnp.asarray(each) for name, each in numbers.items()},
+        order=jnp.asarray(order),
+        previous=jnp.asarray(_previous(order, trace)),
+        trace=jnp.asarray(trace),
+        measurement=measurement.name,
+        kind=measurement.kind,
+        forced=measurement.controlled == "force",
+    )
+
+
+def _previous(order: np.ndarray, trace: np.ndarray) -> np.ndarray:
+    """(rows,): the row before in the same trace; itself for a first one."""
+    previous = np.arange(len(trace))
+    follows = trace[order[1:]] == trace[order[:-1]]
+    previous[order[1:][follows]] = order[:-1][follows]
+    return previous

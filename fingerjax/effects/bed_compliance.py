@@ -1,0 +1,32 @@
+"""The cut end of the finger is held by the rest of the finger, which the free cut leaves out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..fem.body import reinforced
+from ..fem.springs import bed, faces_on, facets, springs
+from .effect import Amount, Effect, Size
+
+if TYPE_CHECKING:
+    from ..fem.body import Body
+    from ..finger import Finger
+    from ..geometry.sections import LayeredSolid
+
+
+class BedCompliance(Effect):
+    """An elastic bed under the proximal cut, as stiff as tissue of the finger's own thickness would be; zero is the free cut."""
+
+    name = "bed_compliance"
+    acts_on = "support"
+    leaves = "The finger as a whole is stiffer, or softer, against loads near its cut end than against loads near its tip."
+    confused_with = "nail_compliance, deep_poisson."
+    parameters = (Size("stiffness", "MPa/mm", 0.01, 0.0, 0.03, sign=1, step=0.002),)
+
+    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+        stiffness = float(amount["stiffness"])
+        if stiffness <= 0.0:
+            return body
+        cut = faces_on(finger.tets, finger.proximal)
+        behind = springs(stiffness * bed(facets(finger.nodes, cut), len(finger.nodes)))
+        return reinforced(body, behind)

@@ -1,0 +1,41 @@
+"""The bone lies nearer to the nail, or to the pad, than was said."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..layers import BONE
+from .effect import Amount, Effect, Size
+
+if TYPE_CHECKING:
+    from ..finger import Finger
+    from ..geometry.sections import LayeredSolid
+
+SKIN = 2  # dermis and epidermis stay where they are
+
+
+class BoneOffset(Effect):
+    """The bone moves as one piece; tissue between it and the dermis follows in proportion."""
+
+    name = "bone_offset"
+    acts_on = "finger"
+    leaves = "Deep and flat indentations feel the bone too late or too early; shallow and sharp ones do not notice."
+    confused_with = "the moduli of adipose tissue and fibrous matrix, strain_stiffening."
+    parameters = (Size("dorsal", "mm", 0.4, -1.0, 1.0, step=0.1),)
+
+    def shape(self, finger: Finger, solid: LayeredSolid, amount: Amount) -> Finger:
+        dorsal = float(amount["dorsal"])
+        if dorsal == 0.0:
+            return finger
+        centre = solid.centre(finger.nodes[:, 2])
+        away = finger.nodes[:, :2] - centre
+        radius, theta = np.linalg.norm(away, axis=1), np.arctan2(away[:, 1], away[:, 0])
+        outer, inner = (solid.radius(layer, finger.nodes[:, 2], theta) for layer in (SKIN, BONE))
+        share = np.clip((outer - radius) / np.maximum(outer - inner, 1e-9), 0.0, 1.0)
+        share = np.where(finger.bone, 1.0, share)
+        nodes = finger.nodes.copy()
+        nodes[:, 1] += dorsal * share
+        return dataclasses.replace(finger, nodes=nodes, key="")

@@ -1,0 +1,129 @@
+"""What an effect is: one thing that a layered linear fingertip under an ideal instrument lacks, with numbers that say how much of it.
+
+An effect acts on one or more of the records that the forward model hands on, each by a method that is left alone where it does nothing:
+
+| record | method | derivative in the effect's numbers |
+|---|---|---|
+| the meshed finger | `shape` | by differences |
+| a rig's indenter, poses and receptor | `plan` | by differences |
+| elements and supports | `support` | by differences |
+| tissue law | `law` | by differences |
+| elastic constants | `material` | exact |
+| one push of an indenter | `push` | exact |
+| what a receptor feels | `feel` | exact |
+| what an instrument or an afferent reads | `read` | exact |
+
+At its null an effect changes nothing, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from .records import Felt, Push, Reading
+
+if TYPE_CHECKING:
+    from ..fem.body import Body, Material
+    from ..fem.tissue import AbstractTissue
+    from ..finger import Finger
+    from ..forward.rigs import Plan
+    from ..geometry.sections import LayeredSolid
+    from ..study import Study
+
+ACTS_ON = ("finger", "tissue", "support", "contact", "time", "instrument", "afferent")
+Amount = Mapping[str, Any]  # the numbers of one effect, by name
+
+
+@dataclass(frozen=True)
+class Size:
+    """One number of an effect.
+
+    - `name`, `unit`; `null`: where it changes nothing; `scale`: a plausible size, the standard deviation of its prior about the null.
+    - `lower`, `upper`: beyond these it is not plausible. `sign`: 1 or -1 where physics allows one side only, 0 for both.
+    - `step`: how far to go for its first-order column where the slope at the null vanishes or misleads; None takes the slope.
+    """
+
+    name: str
+    unit: str
+    scale: float
+    lower: float
+    upper: float
+    sign: int = 0
+    null: float = 0.0
+    step: float | None = None
+
+
+@dataclass(frozen=True)
+class Column:
+    """One way into an effect: which of its numbers moves, and where its others stand meanwhile."""
+
+    size: Size
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+
+class Effect:
+    """Base of every effect; what it leaves in a residual and what that is mistaken for is told in two sentences."""
+
+    name: ClassVar[str]
+    acts_on: ClassVar[str]
+    leaves: ClassVar[str]
+    confused_with: ClassVar[str]
+    parameters: ClassVar[tuple[Size, ...]]
+    grid: ClassVar[Mapping[str, tuple[float, ...]]] = {}  # numbers that mean nothing at the null, and where to try them
+    grid_units: ClassVar[Mapping[str, str]] = {}
+
+    def absent(self, study: Study) -> str | None:
+        """Why this effect cannot be in the study's data, in words; None where it can."""
+        return None
+
+    def columns(self) -> tuple[Column, ...]:
+        """Every column by which the effect is looked for: each of its numbers, at each point of its grid."""
+        grids: list[dict[str, float]] = [{}]
+        for name, values in self.grid.items():
+            grids = [{**each, name: value} for each in grids for value in values]
+        return tuple(Column(size, each) for each in grids for size in self.parameters)
+
+    def null(self) -> dict[str, float]:
+        return {size.name: size.null for size in self.parameters} | {name: values[0] for name, values in self.grid.items()}
+
+    @property
+    def traced(self) -> bool:
+        """Whether all that it does is done in compiled code, with exact derivatives."""
+        return not any(self._has(method) for method in ("shape", "plan", "support", "law"))
+
+    def _has(self, method: str) -> bool:
+        return getattr(type(self), method) is not getattr(Effect, method)
+
+    def shape(self, finger: Finger, solid: LayeredSolid, amount: Amount) -> Finger:
+        """The meshed finger, changed."""
+        return finger
+
+    def plan(self, plan: Plan, solid: LayeredSolid, amount: Amount) -> Plan:
+        """The indenter, its poses or the receptor, changed."""
+        return plan
+
+    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+        """Elements and supports, changed."""
+        return body
+
+    def law(self, law: AbstractTissue, amount: Amount) -> AbstractTissue:
+        """The tissue's law, changed."""
+        return law
+
+    def material(self, material: Material, amount: Amount) -> Material:
+        """Elastic constants, changed."""
+        return material
+
+    def push(self, push: Push, amount: Amount) -> Push:
+        """One push, changed."""
+        return push
+
+    def feel(self, felt: Felt, amount: Amount) -> Felt:
+        """What a receptor feels, changed."""
+        return felt
+
+    def read(self, reading: Reading, amount: Amount) -> Reading:
+        """What an instrument or an afferent reads, changed."""
+        return reading

@@ -1,0 +1,39 @@
+"""The epidermis is thicker or thinner than was said."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .effect import Amount, Effect, Size
+from .morph import Radii, on_rays
+
+if TYPE_CHECKING:
+    from ..finger import Finger
+    from ..geometry.sections import LayeredSolid
+
+LAYER = 0
+
+
+class EpidermisThickness(Effect):
+    """Everywhere by the same share; what lies below it is pushed inwards, and adipose tissue gives way."""
+
+    name = "epidermis_thickness"
+    acts_on = "finger"
+    leaves = "Sharp indenters and flat ones disagree about how stiff the skin is; the skin's dip beside the load is too wide or too narrow."
+    confused_with = "stratum_corneum, dermis_thickness; the modulus of the epidermis takes most of it up."
+    parameters = (Size("share", "1", 0.25, -0.6, 0.75, step=0.05),)
+
+    def shape(self, finger: Finger, solid: LayeredSolid, amount: Amount) -> Finger:
+        share = float(amount["share"])
+        return finger if share == 0.0 else on_rays(finger, solid, lambda radii: _thicker(radii, share))
+
+
+def _thicker(radii: Radii, share: float) -> Radii:
+    moved = radii.copy()
+    moved[LAYER + 1 : 3] -= share * (radii[LAYER] - radii[LAYER + 1])
+    # Where adipose tissue, and then dermis, would be used up, each keeps a tenth of its thickness.
+    moved[2] = np.maximum(moved[2], radii[3] + 0.1 * (radii[2] - radii[3]))
+    moved[1] = np.maximum(moved[1], moved[2] + 0.1 * (radii[1] - radii[2]))
+    return moved
