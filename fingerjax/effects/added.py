@@ -10,13 +10,12 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .effect import Amount, Effect
-from .records import Felt, Push, Reading
+from .records import Felt, Placed, Push, Reading
 
 if TYPE_CHECKING:
     from ..fem.body import Body, Material
     from ..fem.tissue import AbstractTissue
     from ..finger import Finger
-    from ..forward.rigs import Plan
     from ..geometry.sections import LayeredSolid
 
 
@@ -65,10 +64,10 @@ class Effects:
             finger = effect.shape(finger, solid, amount)
         return finger
 
-    def plan(self, plan: Plan, solid: LayeredSolid) -> Plan:
+    def place(self, placed: Placed) -> Placed:
         for effect, amount in self.made:
-            plan = effect.plan(plan, solid, amount)
-        return plan
+            placed = effect.place(placed, amount)
+        return placed
 
     def support(self, body: Body, finger: Finger, solid: LayeredSolid) -> Body:
         for effect, amount in self.made:

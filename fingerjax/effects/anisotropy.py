@@ -45,5 +45,4 @@ def _along(body: Body, layer: int, fibres: float) -> Springs:
     local = 2 * fibres * np.einsum("eq,eqa,eqb->eab", weight, slope, slope)
     nodes = 3 * np.asarray(body.tets)[chosen] + 2
     row, column = np.repeat(nodes, nodes.shape[1], axis=1).ravel(), np.tile(nodes, nodes.shape[1]).ravel()
-    entries = (jnp.asarray(each, jnp.int32) for each in (row, column))
-    return Springs(*entries, jnp.asarray(local.ravel()), jnp.full(local.size, layer, jnp.int32))
+    return Springs(jnp.asarray(row, jnp.int32), jnp.asarray(column, jnp.int32), jnp.asarray(local.ravel()), jnp.full(local.size, layer, jnp.int32))

@@ -5,7 +5,7 @@ An effect acts on one or more of the records that the forward model hands on, ea
 | record | method | derivative in the effect's numbers |
 |---|---|---|
 | the meshed finger | `shape` | by differences |
-| a rig's indenter, poses and receptor | `plan` | by differences |
+| an indenter, its poses and the receptor | `place` | by differences |
 | elements and supports | `support` | by differences |
 | tissue law | `law` | by differences |
 | elastic constants | `material` | exact |
@@ -18,22 +18,21 @@ At its null an effect changes nothing, to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from .records import Felt, Push, Reading
+from .records import Felt, Measured, Placed, Push, Reading
 
 if TYPE_CHECKING:
     from ..fem.body import Body, Material
     from ..fem.tissue import AbstractTissue
     from ..finger import Finger
-    from ..forward.rigs import Plan
     from ..geometry.sections import LayeredSolid
-    from ..study import Study
 
 ACTS_ON = ("finger", "tissue", "support", "contact", "time", "instrument", "afferent")
 Amount = Mapping[str, Any]  # the numbers of one effect, by name
+Data = Sequence[Measured]
 
 
 @dataclass(frozen=True)
@@ -74,8 +73,8 @@ class Effect:
     grid: ClassVar[Mapping[str, tuple[float, ...]]] = {}  # numbers that mean nothing at the null, and where to try them
     grid_units: ClassVar[Mapping[str, str]] = {}
 
-    def absent(self, study: Study) -> str | None:
-        """Why this effect cannot be in the study's data, in words; None where it can."""
+    def absent(self, data: Data) -> str | None:
+        """Why these measurements cannot show this effect, in words; None where they can."""
         return None
 
     def columns(self) -> tuple[Column, ...]:
@@ -85,13 +84,17 @@ class Effect:
             grids = [{**each, name: value} for each in grids for value in values]
         return tuple(Column(size, each) for each in grids for size in self.parameters)
 
+    def second(self) -> tuple[Column, ...]:
+        """Columns of a second term of the same effect, as of a second time of relaxation; none where there is no such thing."""
+        return ()
+
     def null(self) -> dict[str, float]:
         return {size.name: size.null for size in self.parameters} | {name: values[0] for name, values in self.grid.items()}
 
     @property
     def traced(self) -> bool:
         """Whether all that it does is done in compiled code, with exact derivatives."""
-        return not any(self._has(method) for method in ("shape", "plan", "support", "law"))
+        return not any(self._has(method) for method in ("shape", "place", "support", "law"))
 
     def _has(self, method: str) -> bool:
         return getattr(type(self), method) is not getattr(Effect, method)
@@ -100,9 +103,9 @@ class Effect:
         """The meshed finger, changed."""
         return finger
 
-    def plan(self, plan: Plan, solid: LayeredSolid, amount: Amount) -> Plan:
+    def place(self, placed: Placed, amount: Amount) -> Placed:
         """The indenter, its poses or the receptor, changed."""
-        return plan
+        return placed
 
     def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
         """Elements and supports, changed."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
+
 from ..fem.tissue import AbstractTissue, Exponential, FiniteStrain
 from .effect import Amount, Effect, Size
 
@@ -17,4 +19,4 @@ class FiniteStrainEffect(Effect):
 
     def law(self, law: AbstractTissue, amount: Amount) -> AbstractTissue:
         share = float(amount["homotopy"])
-        return law if share <= 0.0 or isinstance(law, Exponential) else FiniteStrain(share)
+        return law if share <= 0.0 or isinstance(law, Exponential) else FiniteStrain(jnp.asarray(share))

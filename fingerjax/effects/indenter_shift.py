@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .effect import Amount, Effect, Size
 from .needs import not_swept
-
-if TYPE_CHECKING:
-    from ..forward.rigs import Plan
-    from ..geometry.sections import LayeredSolid
+from .records import Placed
 
 
 class IndenterShift(Effect):
@@ -25,7 +21,7 @@ class IndenterShift(Effect):
     parameters = (Size("along", "mm", 0.5, -1.5, 1.5, step=0.25),)
     absent = staticmethod(not_swept)
 
-    def plan(self, plan: Plan, solid: LayeredSolid, amount: Amount) -> Plan:
-        if plan.measurement.kind == "spike_rate":
-            return plan
-        return dataclasses.replace(plan, origins=plan.origins + np.array([0.0, float(amount["along"])]))
+    def place(self, placed: Placed, amount: Amount) -> Placed:
+        if placed.kind == "spike_rate":
+            return placed
+        return dataclasses.replace(placed, origins=placed.origins + np.array([0.0, float(amount["along"])]))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
 
 from ..contact.indenter import FlatCylinder, FlatPlate, Point, Tilted
 from .effect import Amount, Effect, Size
 from .needs import flat_indenter
-
-if TYPE_CHECKING:
-    from ..forward.rigs import Plan
-    from ..geometry.sections import LayeredSolid
+from .records import Placed
 
 
 class IndenterTilt(Effect):
@@ -24,7 +22,7 @@ class IndenterTilt(Effect):
     parameters = (Size("pitch", "rad", 0.05, -0.15, 0.15, step=0.05),)
     absent = staticmethod(flat_indenter)
 
-    def plan(self, plan: Plan, solid: LayeredSolid, amount: Amount) -> Plan:
-        if not isinstance(plan.indenter, (FlatPlate, FlatCylinder, Point)):
-            return plan
-        return dataclasses.replace(plan, indenter=Tilted(plan.indenter, pitch=float(amount["pitch"])))
+    def place(self, placed: Placed, amount: Amount) -> Placed:
+        if not isinstance(placed.indenter, (FlatPlate, FlatCylinder, Point)):
+            return placed
+        return dataclasses.replace(placed, indenter=Tilted(placed.indenter, pitch=jnp.asarray(float(amount["pitch"]))))

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 from .effect import Amount, Effect, Size
 from .needs import rates
-
-if TYPE_CHECKING:
-    from ..forward.rigs import Plan
-    from ..geometry.sections import LayeredSolid
+from .records import Placed
 
 
 class ReceptorDepth(Effect):
@@ -21,9 +17,5 @@ class ReceptorDepth(Effect):
     parameters = (Size("deeper", "mm", 0.15, -0.4, 0.5, step=0.05),)
     absent = staticmethod(rates)
 
-    def plan(self, plan: Plan, solid: LayeredSolid, amount: Amount) -> Plan:
-        receptor = plan.measurement.receptor
-        if receptor is None or plan.measurement.kind != "spike_rate":
-            return plan
-        moved = dataclasses.replace(receptor, depth=receptor.depth + amount["deeper"])
-        return dataclasses.replace(plan, measurement=dataclasses.replace(plan.measurement, receptor=moved))
+    def place(self, placed: Placed, amount: Amount) -> Placed:
+        return dataclasses.replace(placed, deeper=placed.deeper + float(amount["deeper"]))

@@ -2,12 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..contact.indenter import AbstractIndenter
 from ..measure.receptor import Receptor
+
+
+class Measured(Protocol):
+    """What effects look at in a measurement to tell whether it could show them."""
+
+    def __len__(self) -> int: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def controlled(self) -> str: ...
+    @property
+    def table(self) -> Mapping[str, np.ndarray]: ...
+    @property
+    def indenters(self) -> Mapping[str, Any]: ...
+
+
+@dataclass(frozen=True)
+class Placed:
+    """One indenter of one measurement, before there is a mesh.
+
+    - `origins` (poses, 2): where it stands, (x, z) mm. `deeper`, `along`: mm by which the receptor lies below and distal of its place.
+    """
+
+    indenter: AbstractIndenter
+    origins: np.ndarray
+    kind: str
+    deeper: float = 0.0
+    along: float = 0.0
 
 
 class Context(eqx.Module):
@@ -53,7 +87,7 @@ class Context(eqx.Module):
         mean = jnp.where(span > 1e-6, -jnp.expm1(-span) / jnp.where(span > 1e-6, span, 1.0), 1 - span / 2)
         new = jnp.where(self.first, given if from_rest else 0.0, self.step(given) * mean)
 
-        def row(left: Array, each: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        def row(left: Array, each: tuple[Array, ...]) -> tuple[Array, Array]:
             keep, added, first = each
             left = jnp.where(first, 0.0, left) * keep + added
             return left, left

@@ -12,7 +12,10 @@ TIMES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 
 class Relaxation(Effect):
-    """F(t) = integral of g(t - s) dF_elastic(s), g = 1 - sum share_i (1 - exp(-t/tau_i)) (Fung 1981, chapter 7); the moduli are the instant ones."""
+    """F(t) = integral of g(t - s) dF_elastic(s), g(t) = 1 - sum share_i (1 - exp(-t/tau_i)) (Fung 1981, chapter 7).
+
+    The moduli are the instant ones.
+    """
 
     name = "relaxation"
     acts_on = "time"
@@ -24,7 +27,6 @@ class Relaxation(Effect):
     absent = staticmethod(timed_force)
 
     def second(self) -> tuple[Column, ...]:
-        """A second term, at every time again."""
         size = dataclasses.replace(self.parameters[0], name="second_share")
         return tuple(Column(size, {"second_time": time}) for time in TIMES)
 

@@ -21,5 +21,5 @@ class StrainStiffening(Effect):
         skin, deep = float(amount["skin"]), float(amount["deep"])
         if skin <= 0.0 and deep <= 0.0:
             return law
-        finite = law if isinstance(law, FiniteStrain) else FiniteStrain(1.0)
+        finite = law if isinstance(law, FiniteStrain) else FiniteStrain(jnp.asarray(1.0))
         return Exponential(finite, jnp.asarray([skin, skin, deep, deep, 0.0]))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
 
 from ..contact.indenter import Line, Point
 from .effect import Amount, Effect, Size
 from .needs import tip
+from .records import Placed
 
-if TYPE_CHECKING:
-    from ..forward.rigs import Plan
-    from ..geometry.sections import LayeredSolid
+SHARPEST = 0.01  # mm
 
 
 class TipRadius(Effect):
@@ -22,11 +22,12 @@ class TipRadius(Effect):
     parameters = (Size("wider", "mm", 0.1, -0.1, 0.3, step=0.1),)
     absent = staticmethod(tip)
 
-    def plan(self, plan: Plan, solid: LayeredSolid, amount: Amount) -> Plan:
-        wider, indenter = float(amount["wider"]), plan.indenter
+    def place(self, placed: Placed, amount: Amount) -> Placed:
+        wider, indenter = float(amount["wider"]), placed.indenter
         if isinstance(indenter, Line):
-            width = float(indenter.width) + 2 * wider
-            return dataclasses.replace(plan, indenter=dataclasses.replace(indenter, width=max(width, 0.01)))
+            width = jnp.asarray(max(float(indenter.width) + 2 * wider, SHARPEST))
+            return dataclasses.replace(placed, indenter=dataclasses.replace(indenter, width=width))
         if isinstance(indenter, Point):
-            return dataclasses.replace(plan, indenter=dataclasses.replace(indenter, radius=max(float(indenter.radius) + wider, 0.01)))
-        return plan
+            radius = jnp.asarray(max(float(indenter.radius) + wider, SHARPEST))
+            return dataclasses.replace(placed, indenter=dataclasses.replace(indenter, radius=radius))
+        return placed

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
@@ -31,25 +32,20 @@ class Springs(eqx.Module):
         return jnp.zeros(u.size).at[self.row].add(values * u.reshape(-1)[self.column]).reshape(u.shape)
 
     def __add__(self, other: Springs) -> Springs:
-        pairs = zip(_parts(self), _parts(other), strict=True)
-        return Springs(*(jnp.concatenate(pair) for pair in pairs))
-
-
-def _parts(springs: Springs) -> tuple[Array, Array, Array, Array]:
-    return springs.row, springs.column, springs.value, springs.layer
+        return jax.tree.map(lambda one, more: jnp.concatenate([one, more]), self, other)
 
 
 def springs(matrix: sp.spmatrix, layer: int = -1) -> Springs:
     """The springs of a sparse matrix (3n, 3n)."""
     found = sp.coo_matrix(matrix)
     found.sum_duplicates()
-    index = [jnp.asarray(each, jnp.int32) for each in (found.row, found.col)]
-    return Springs(*index, jnp.asarray(found.data), jnp.full(found.nnz, layer, jnp.int32))
+    row, column = (jnp.asarray(each, jnp.int32) for each in (found.row, found.col))
+    return Springs(row, column, jnp.asarray(found.data), jnp.full(found.nnz, layer, jnp.int32))
 
 
 @dataclass(frozen=True)
 class Facets:
-    """Quadratic triangles (f, 6) of a surface with, at quadrature points, shape values, tangential slopes along two directions, and area."""
+    """Quadratic triangles (f, 6) of a surface, and at quadrature points: shape values, slopes along two tangents, area."""
 
     triangles: np.ndarray
     shape: np.ndarray  # (q, 6)

@@ -242,7 +242,7 @@ def lay_out(
     finger = effects.shape(finger, solid)
     finger = finger if bone == "elastic" else finger.without_bone()
     tissue = effects.support(body(finger, bone=bone), finger, solid)
-    laid = lay([effects.plan(plan, solid) for plan in plans(study.measurements, solid, wired)], finger, tissue, solid)
+    laid = lay([plan.changed(effects) for plan in plans(study.measurements, solid, wired)], finger, tissue, solid)
     model = Model(
         body=tissue,
         solver=solver_for(tissue, solver),

@@ -81,7 +81,9 @@ def settle(
 
 
 @eqx.filter_jit
-def _settle(rig: Rig, C: Float[Array, "variants m m"], added: Added, values: dict[str, Any]) -> tuple[Bool[Array, "cases k"], Float[Array, "cases m"]]:
+def _settle(
+    rig: Rig, C: Float[Array, "variants m m"], added: Added, values: dict[str, Any]
+) -> tuple[Bool[Array, "cases k"], Float[Array, "cases m"]]:
     def one(case: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         pose, imposed, variant = case
         contact = _push(rig, pose, C[variant], imposed, _geometry(rig, pose), None, added, values)

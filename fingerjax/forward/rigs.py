@@ -16,7 +16,8 @@ from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, from
 from ..contact.locate import surface_functionals
 from ..contact.pad import Pad, functionals
 from ..contact.reach import Indentation, pad_for, windows
-from ..effects.records import Context
+from ..effects.added import Effects
+from ..effects.records import Context, Placed
 from ..errors import InputError
 from ..fem.body import Body
 from ..fem.recovery import strain_columns
@@ -71,6 +72,16 @@ class Plan:
     @property
     def deepest(self) -> float:
         return float(self.imposed.max())
+
+    def changed(self, effects: Effects) -> Plan:
+        """The plan with what effects do to the indenter, its poses and the receptor."""
+        measurement = self.measurement
+        placed = effects.place(Placed(self.indenter, self.origins, measurement.kind))
+        if measurement.receptor is not None and (placed.deeper or placed.along):
+            at = measurement.receptor
+            moved = dataclasses.replace(at, depth=at.depth + placed.deeper, z=at.z + placed.along)
+            measurement = dataclasses.replace(measurement, receptor=moved)
+        return dataclasses.replace(self, measurement=measurement, indenter=placed.indenter, origins=placed.origins)
 
 
 def indenter_from(spec: IndenterSpec) -> AbstractIndenter:

@@ -23,7 +23,7 @@ def rows_of(study: Study) -> Rows:
     ends = np.cumsum([0, *(len(one) for one in measurements)])
     blocks = {one.name: slice(int(a), int(b)) for one, a, b in zip(measurements, ends[:-1], ends[1:], strict=True)}
     condition = np.concatenate([_conditions(one) for one in measurements])
-    roles = {}
+    roles: dict[str, str] = {}
     for held in study.diagnose.hold_out if study.diagnose is not None else ():
         one = study.measurement(held.measurement)
         chosen = _chosen(one, held.where)

@@ -22,7 +22,7 @@ from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..loop.subject import AbstractSubject, Column, Evaluation, Family
 from ..parameters import Parameter
-from ..study import Study
+from ..study import Prior, Study
 from .rows import rows_of
 
 Amounts = dict[str, dict[str, float]]  # effect -> its numbers
@@ -39,14 +39,14 @@ class FingerSubject(AbstractSubject):
     def __init__(self, ready: Assembled, effects: tuple[Effect, ...], *, solver: str = "auto", tell: Tell = unheard):
         study = ready.study
         self.study, self.solver, self.tell = study, solver, tell
-        self.absent = {effect.name: why for effect in effects if (why := effect.absent(study)) is not None}
+        self.absent = {effect.name: why for effect in effects if (why := effect.absent(study.measurements)) is not None}
         self.effects = {effect.name: effect for effect in effects if effect.name not in self.absent}
         self.compiled = tuple(effect for effect in self.effects.values() if effect.traced)
         self.name, self.kind = study.name, "measured"
         base = _with(ready, Effects(self.compiled))
         self.base = base
         self.parameters = base.problem().parameters
-        self.priors = {one.name: study.fit.priors[base.model.wired.owner.get(one.name, one.name)] for one in self.parameters if _has_prior(base, one)}
+        self.priors = _priors(base, self.parameters)
         self.rows = rows_of(study)
         self.families = tuple(_family(effect) for effect in self.effects.values())
         self._ways = {column.key: column for family in self.families for column in (*family.columns, *family.second)}
@@ -204,14 +204,18 @@ def _with(ready: Assembled, effects: Effects, solver: str = "auto") -> Assembled
     return lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, solver, effects)
 
 
-def _has_prior(ready: Assembled, parameter: Parameter) -> bool:
-    return ready.model.wired.owner.get(parameter.name, parameter.name) in ready.study.fit.priors
+def _priors(ready: Assembled, parameters: tuple[Parameter, ...]) -> dict[str, Prior]:
+    """What is known of a parameter, or of the one that it is an instance of."""
+    said, owner = ready.study.fit.priors, {}
+    for one in parameters:
+        name = one.name.split("[")[0]
+        owner[one.name] = next((known for known in said if ready.model.wired.owner.get(known, known) == name), None)
+    return {name: said[known] for name, known in owner.items() if known is not None}
 
 
 def _family(effect: Effect) -> Family:
-    second = getattr(effect, "second", tuple)()
     columns = tuple(_column(effect, way) for way in effect.columns())
-    more = tuple(_column(effect, way) for way in second)
+    more = tuple(_column(effect, way) for way in effect.second())
     return Family(effect.name, columns, effect.acts_on, effect.leaves, effect.confused_with, more)
 
 
@@ -256,10 +260,8 @@ def _sensitive(
     return value, jax.vmap(along)(*ways), sound
 
 
-def at_half(study: Study, share: float) -> Study:
+def at_size(study: Study, share: float) -> Study:
     """The study on a mesh whose elements are `share` times as large."""
     said = study.finger.resolution
-    finer = dataclasses.replace(said, pad_mm=share * said.pad_mm, proximal_mm=share * said.proximal_mm) if dataclasses.is_dataclass(said) else said.model_copy(
-        update={"pad_mm": share * said.pad_mm, "proximal_mm": share * said.proximal_mm}
-    )
+    finer = said.model_copy(update={"pad_mm": share * said.pad_mm, "proximal_mm": share * said.proximal_mm})
     return dataclasses.replace(study, finger=study.finger.model_copy(update={"resolution": finer}))

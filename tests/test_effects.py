@@ -1,0 +1,287 @@
+"""Every effect: nothing at its null, slopes as differences have them, and the size and sign that theory or its name gives it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fingerjax.effects import Effect, catalogue, chosen
+from fingerjax.effects.added import Effects
+from fingerjax.effects.effect import ACTS_ON
+from fingerjax.effects.records import Context, Reading
+from fingerjax.errors import InputError
+from fingerjax.fem.body import body
+from fingerjax.fem.solver import Factorised, MultigridCG, direct_available, solver_for
+from fingerjax.fem.springs import bed, facets, film, springs, tension
+from fingerjax.fem.stiffness import Elastic
+from fingerjax.forward import Assembled, assemble
+from fingerjax.forward.model import lay_out
+from fingerjax.runners.subject import FingerSubject
+
+from .helpers import DIFFERENCED, SAME_ARITHMETIC, Grade
+from .test_forward import COARSE, OF, SITE, Rows, study_of
+
+RAMP: Rows = [
+    {"trial": 1, "time_s": t, "displacement_mm": d, "force_N": 0.1 * d}
+    for t, d in ((0.0, 0.1), (0.2, 0.3), (0.4, 0.6), (1.4, 0.6), (4.4, 0.6), (4.8, 0.3))
+]
+HELD_RAMP = {
+    "kind": "force_displacement",
+    "indenter": {"shape": "point", "radius_mm": 0.8, "edge_radius_mm": 0.2},
+    "site": SITE,
+    "noise": {"sigma": 0.001, "unit": "N"},
+}
+SWEEP: Rows = [{"position_mm": s, "depth_mm": 0.8, "rate_Hz": 40.0 - 5 * abs(s), "time_s": 0.5} for s in (-2.0, -0.9, 0.3, 1.1, 1.9)]
+EVERYTHING = OF | {"ramp": (HELD_RAMP, RAMP), "bar": (OF["bar"][0], SWEEP)}
+COMPILED = [effect for effect in catalogue() if effect.traced]
+MADE = [effect for effect in catalogue() if not effect.traced and effect.acts_on != "tissue"]
+
+
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory: pytest.TempPathFactory) -> Assembled:
+    folder = tmp_path_factory.mktemp("effects")
+    return assemble(study_of(folder, EVERYTHING, finger={"preset": "monkey", "resolution": COARSE}))
+
+
+@pytest.fixture(scope="module")
+def subject(ready: Assembled) -> FingerSubject:
+    return FingerSubject(ready, catalogue())
+
+
+def start(subject: FingerSubject) -> np.ndarray:
+    return np.array([one.raw() for one in subject.parameters])
+
+
+def read(ready: Assembled, *made: tuple[Effect, dict[str, float]]) -> np.ndarray:
+    changed = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=Effects((), made))
+    return np.concatenate([np.asarray(each) for each in changed.predict().readings])
+
+
+def test_every_effect_says_what_it_is() -> None:
+    found = catalogue()
+    assert len({effect.name for effect in found}) == len(found)
+    for effect in found:
+        assert effect.acts_on in ACTS_ON
+        assert effect.leaves.endswith(".") and effect.confused_with.endswith(".")
+        for size in effect.parameters:
+            assert size.lower <= size.null <= size.upper and size.scale > 0 and size.unit
+
+
+@pytest.mark.parametrize("effect", COMPILED, ids=lambda effect: effect.name)
+def test_a_compiled_effect_changes_nothing_at_its_null(effect: Effect, ready: Assembled) -> None:
+    without = ready.predict()
+    added = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=Effects((effect,)))
+    with_it = added.predict({f"{effect.name}.{name}": value for name, value in effect.null().items()})
+    for one, other in zip(without.readings, with_it.readings, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("effect", MADE, ids=lambda effect: effect.name)
+def test_an_effect_on_the_model_changes_nothing_at_its_null(effect: Effect, ready: Assembled) -> None:
+    np.testing.assert_array_equal(read(ready, (effect, effect.null())), read(ready))
+
+
+def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubject) -> None:
+    raw = start(subject)
+    smooth = [key for key, way in subject._ways.items() if subject._is_compiled(key) and way.step is None and "second" not in way.name]
+    at = {key: subject._ways[key].null + 0.1 * subject._ways[key].scale for key in smooth}
+    for key in smooth:
+        step = 1e-5 * subject._ways[key].scale
+        found = subject.evaluate(raw, {key: at[key]}, (key,))
+        assert found.usable, key
+        ends = [subject.evaluate(raw, {key: at[key] + sign * step}, ()).prediction for sign in (1, -1)]
+        Grade(1e-4, 1e-7, "contacts are decided anew on both sides").check(found.phi_jacobian[:, 0], (ends[0] - ends[1]) / (2 * step))
+
+
+def test_columns_at_the_null_are_the_effects_first_order(subject: FingerSubject) -> None:
+    raw = start(subject)
+    columns, base = subject.columns(raw), subject.evaluate(raw, {}, ()).prediction
+    for key, way in subject._ways.items():
+        if way.step is not None or "second" in way.name:
+            continue
+        step = 1e-4 * way.scale
+        moved = subject.evaluate(raw, {key: way.null + step}, ()).prediction
+        scale = np.abs(columns[key]).max()
+        assert np.abs((moved - base) / step - columns[key]).max() <= 0.02 * scale + 1e-9, key
+    assert set(columns) == {one.key for family in subject.families for one in (*family.columns, *family.second)}
+
+
+def test_softer_supports_and_stiffer_films_do_what_their_names_say(ready: Assembled) -> None:
+    by_name = {effect.name: effect for effect in catalogue()}
+    plate = ready.model.instruments.names.index("plate")
+    rows = slice(*np.cumsum([0, *ready.model.instruments.lengths])[plate : plate + 2])
+
+    def force(name: str, **amount: float) -> float:
+        return float(read(ready, (by_name[name], amount))[rows][-1])
+
+    held = float(read(ready)[rows][-1])
+    assert force("nail_compliance", compliance=100.0) < force("nail_compliance", compliance=20.0) < held
+    assert force("nail_compliance", compliance=1e-4) == pytest.approx(held, rel=1e-3)
+    assert force("bed_compliance", stiffness=0.02) > held
+    assert force("stratum_corneum", membrane_stiffness=0.1) > held
+    assert force("skin_pretension", tension=0.01) > held
+    assert force("anisotropy", fibres=1.0) > held
+    assert force("dermis_thickness", share=0.2) != held
+    assert force("bone_offset", dorsal=0.3) < held < force("bone_offset", dorsal=-0.3)
+
+
+def test_a_gradient_leaves_the_layers_mean_stiffness_alone(ready: Assembled) -> None:
+    gradient = next(effect for effect in catalogue() if effect.name == "depth_gradient")
+    made = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=Effects((), ((gradient, {"gradient": 0.5}),)))
+    ratio = np.asarray(made.model.body.weight_along / ready.model.body.weight_along)[0]
+    layer = np.asarray(ready.model.body.layer)
+    assert np.all(ratio[layer < 2] == 1.0)
+    assert 0.5 <= ratio[layer >= 2].min() < 0.8 and 1.2 < ratio[layer >= 2].max() <= 1.5
+
+
+def test_thicker_dermis_has_that_much_more_of_it(ready: Assembled) -> None:
+    thicker = next(effect for effect in catalogue() if effect.name == "dermis_thickness")
+    made = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=Effects((), ((thicker, {"share": 0.2}),)))
+    before, after = (np.asarray(one.model.body.weight_along).sum(axis=0) for one in (ready, made))
+    layer = np.asarray(ready.model.body.layer)
+    assert after[layer == 0].sum() == pytest.approx(before[layer == 0].sum(), rel=0.02)
+    assert after[layer == 1].sum() / before[layer == 1].sum() == pytest.approx(1.2, abs=0.04)
+    assert after.sum() == pytest.approx(before.sum(), rel=0.01)
+
+
+@pytest.mark.skipif(not direct_available(), reason="needs the extra fingerjax[direct]")
+def test_both_solvers_feel_the_same_springs(ready: Assembled) -> None:
+    corneum = next(effect for effect in catalogue() if effect.name == "stratum_corneum")
+    fibres = next(effect for effect in catalogue() if effect.name == "anisotropy")
+    tissue = body(ready.finger, bone="rigid")
+    for effect, amount in ((corneum, {"membrane_stiffness": 0.05}), (fibres, {"fibres": 0.8})):
+        tissue = effect.support(tissue, ready.finger, ready.solid, amount)
+    lame = ready.model.instruments.materials({})[0].lame()
+    load = jnp.zeros((1, *tissue.nodes.shape)).at[0, ready.finger.skin[len(ready.finger.skin) // 2], 1].set(0.01)
+    direct, iterated = solver_for(tissue, "factorised"), solver_for(tissue, "multigrid")
+    assert isinstance(direct, Factorised) and isinstance(iterated, MultigridCG)
+    one, other = (solver.undo(Elastic(tissue, lame), load).displacement for solver in (direct, iterated))
+    Grade(1e-6, 1e-12, "two solvers, to 1e-8 and 1e-9").check(other, one)
+
+
+SQUARE = np.array([[0, 0, 0], [2, 0, 0], [0, 0, 1], [1, 0, 0], [1, 0, 0.5], [0, 0, 0.5]], float)
+
+
+def test_films_beds_and_tensions_store_what_theory_says() -> None:
+    flat = facets(SQUARE, np.arange(6)[None])
+    assert flat.area.sum() == pytest.approx(1.0)
+    stretch = np.zeros((6, 3))
+    stretch[:, 0], stretch[:, 2] = 0.01 * SQUARE[:, 0], -0.004 * SQUARE[:, 2]
+    lift = np.zeros((6, 3))
+    lift[:, 1] = 0.02 * SQUARE[:, 0] - 0.01 * SQUARE[:, 2]
+
+    def energy(matrix: object, u: np.ndarray) -> float:
+        held = springs(matrix)  # type: ignore[arg-type]
+        return 0.5 * float(jnp.vdot(jnp.asarray(u), held.force(held.value, jnp.asarray(u))))
+
+    # E t / (2 (1 - nu^2)) (e1^2 + 2 nu e1 e2 + e2^2) per area.
+    expected = (0.01**2 - 2 * 0.4 * 0.01 * 0.004 + 0.004**2) / (2 * (1 - 0.4**2))
+    assert energy(film(flat, 6, 0.4), stretch) == pytest.approx(expected, rel=1e-12)
+    assert energy(film(flat, 6, 0.4), lift) == pytest.approx(0.0, abs=1e-18)
+    assert energy(tension(flat, 6), lift) == pytest.approx(0.5 * (0.02**2 + 0.01**2), rel=1e-12)
+    assert energy(bed(flat, 6), np.full((6, 3), 0.1)) == pytest.approx(0.5 * 3 * 0.01, rel=1e-12)
+
+
+def context(time: np.ndarray, displacement: np.ndarray) -> Context:
+    previous = np.maximum(np.arange(len(time)) - 1, 0)
+    table = {"time": jnp.asarray(time), "displacement": jnp.asarray(displacement)}
+    rows = jnp.arange(len(time))
+    return Context(table, rows, jnp.asarray(previous), jnp.zeros(len(time), int), "ramp", "force_displacement", False)
+
+
+def test_relaxation_of_a_ramp_and_hold_is_its_convolution() -> None:
+    relaxation = next(effect for effect in catalogue() if effect.name == "relaxation")
+    time = np.array([0.0, 0.1, 0.25, 0.4, 1.0, 2.0, 5.0])
+    force = np.minimum(time / 0.4, 1.0) * 2.0
+    said = Reading(jnp.asarray(force), jnp.asarray(force), jnp.asarray(force), context(time, force))
+    share, tau = 0.4, 0.7
+    found = relaxation.read(said, relaxation.null() | {"share": share, "time": tau}).value
+
+    def exact(t: float) -> float:
+        s = np.linspace(0.0, min(t, 0.4), 20001)
+        return float(np.trapezoid((1 - share * (1 - np.exp(-(t - s) / tau))) * 5.0, s))
+
+    Grade(1e-7, 1e-9, "the trapezoidal rule on 20,000 steps").check(found, [exact(t) for t in time])
+
+
+def test_a_lagging_force_follows_its_filter() -> None:
+    lag = next(effect for effect in catalogue() if effect.name == "force_lag")
+    time = np.linspace(0.0, 1.0, 11)
+    force = 3.0 * time
+    said = Reading(jnp.asarray(force), jnp.asarray(force), jnp.asarray(force), context(time, force))
+    found = lag.read(said, {"time": 0.05}).value
+    Grade(1e-12, 1e-12, "exact for a ramp").check(found, 3.0 * (time - 0.05 * (1 - np.exp(-time / 0.05))))
+    slope = jax.jacfwd(lambda t: lag.read(said, {"time": t}).value)(jnp.asarray(0.0))
+    DIFFERENCED.check(slope, np.where(time > 0, -3.0, 0.0))
+
+
+def test_saturation_and_power_law_keep_silence_silent() -> None:
+    rates = jnp.asarray([0.0, 10.0, 50.0, 90.0])
+    said = Reading(rates, rates, rates, dataclasses.replace(context(np.arange(4.0), np.arange(4.0)), kind="spike_rate"))
+    by_name = {effect.name: effect for effect in catalogue()}
+    bent = by_name["rate_power_law"].read(said, {"exponent_beyond_one": 0.5}).value
+    SAME_ARITHMETIC.check(bent, [0.0, 10 * 0.2**0.5, 50.0, 90 * 1.8**0.5])
+    capped = by_name["rate_saturation"].read(said, {"slowing": 0.01}).value
+    SAME_ARITHMETIC.check(capped, [0.0, 10 / 1.1, 50 / 1.5, 90 / 1.9])
+
+
+OWN = """
+import dataclasses
+from fingerjax.effects import Effect, Size
+
+class DampGlove(Effect):
+    name = "damp_glove"
+    acts_on = "instrument"
+    leaves = "Forces read a little high."
+    confused_with = "force_offset."
+    parameters = (Size("more", "N", 0.01, -0.03, 0.03),)
+
+    def read(self, reading, amount):
+        return dataclasses.replace(reading, value=reading.value + amount["more"]) if reading.is_force else reading
+"""
+
+
+def test_a_laboratorys_own_effect_is_found_in_its_folder(tmp_path: Path, ready: Assembled) -> None:
+    (tmp_path / "glove.py").write_text(OWN)
+    found = {effect.name: effect for effect in catalogue(tmp_path)}
+    assert set(found) - {effect.name for effect in catalogue()} == {"damp_glove"}
+    subject = FingerSubject(ready, (found["damp_glove"],))
+    column = subject.columns(start(subject))["damp_glove.more"]
+    forces = np.concatenate([np.full(n, one in ("plate", "ramp")) for one, n in zip(*_names(ready), strict=True)])
+    np.testing.assert_array_equal(column, forces.astype(float))
+
+
+def _names(ready: Assembled) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    return ready.model.instruments.names, ready.model.instruments.lengths
+
+
+def test_a_file_that_is_no_effect_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "empty.py").write_text("x = 1\n")
+    with pytest.raises(InputError, match="defines no effect"):
+        catalogue(tmp_path)
+    (tmp_path / "empty.py").write_text(OWN.replace("damp_glove", "force_gain"))
+    with pytest.raises(InputError, match="there already"):
+        catalogue(tmp_path)
+    (tmp_path / "empty.py").write_text("raise ValueError('no')\n")
+    with pytest.raises(InputError, match="cannot be read"):
+        catalogue(tmp_path)
+
+
+def test_effects_are_chosen_by_name() -> None:
+    assert chosen("none", catalogue()) == () and chosen("all", catalogue()) == catalogue()
+    assert [effect.name for effect in chosen(("force_gain",), catalogue())] == ["force_gain"]
+    with pytest.raises(InputError, match="no such effect"):
+        chosen(("force_gian",), catalogue())
+
+
+def test_effects_that_the_data_cannot_show_say_why(tmp_path: Path) -> None:
+    study = study_of(tmp_path, {"plate": OF["plate"]}, finger={"preset": "monkey", "resolution": COARSE})
+    subject = FingerSubject(assemble(study), catalogue())
+    assert subject.absent["rate_saturation"] == "no spike rate was measured"
+    assert subject.absent["relaxation"] == "no force was read against time"
+    assert "force_gain" in subject.effects
