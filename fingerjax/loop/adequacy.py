@@ -61,8 +61,7 @@ def look(best: Optimum, families: Sequence[Family], *, nu: float, alpha: float, 
     """Rank the families at an optimum and test it. Effects that are awake there are part of the model that the others must leave."""
     ranking = rank(best, families, best.sample.subject.columns(best.raw, best.phi))
     value = critical(ranking, nu=nu, alpha=alpha, seed=seed)
-    largest = max((score.statistic for score in ranking.testable), default=0.0)
-    return Look(best, ranking, value, adequacy(best, nu=nu, largest_p=value.p(largest), alpha=alpha))
+    return Look(best, ranking, value, adequacy(best, nu=nu, largest_p=value.p(ranking.largest), alpha=alpha))
 
 
 def adequacy(best: Optimum, *, nu: float, largest_p: float, alpha: float = 0.05) -> Adequacy:

@@ -43,19 +43,19 @@ class Critical:
 
 def critical(ranking: Ranking, *, nu: float, alpha: float = 0.05, seed: int = 0, draws: int = DRAWS) -> Critical:
     """Simulate the largest score of all effects that can be tested; `nu` degrees of freedom tell the noise."""
-    if not ranking.tested:
+    if not ranking.blocks:
         return Critical(alpha, math.inf, np.zeros(0), 0, 0.0)
     random = np.random.default_rng(seed)
-    rows = ranking.tested[0][1].shape[0]
+    rows = ranking.blocks[0][1].shape[0]
     maxima = []
     for _ in range(draws // AT_ONCE):
         noise = random.standard_normal((rows, AT_ONCE))
         if math.isfinite(nu):
             noise /= np.sqrt(random.chisquare(nu, AT_ONCE) / nu)
-        maxima.append(np.max([statistics(block, columns, noise) for columns, block in ranking.tested], axis=0))
+        maxima.append(np.max([statistics(block, columns, noise) for columns, block in ranking.blocks], axis=0))
     found = np.sort(np.concatenate(maxima))
     value = float(np.quantile(found, 1.0 - alpha))
-    return Critical(alpha, value, found, sum(block.shape[1] for _, block in ranking.tested), _effective(value, nu, alpha))
+    return Critical(alpha, value, found, sum(block.shape[1] for _, block in ranking.blocks), _effective(value, nu, alpha))
 
 
 def _effective(value: float, nu: float, alpha: float) -> float:

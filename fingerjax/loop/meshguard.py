@@ -75,8 +75,9 @@ def leftover(rows: Rows, offset: Float[np.ndarray, "rows"], rho: float = RHO) ->
         condition = rows.condition[where]
         alike = np.where(condition[:, None] == condition, 1.0, ELSEWHERE)
         for values in rows.coordinates.get(name, {}).values():
-            place = np.asarray(values, dtype=float) / max(REACH * float(np.ptp(values)), 1e-300)
-            alike = alike * np.exp(-0.5 * np.minimum((place[:, None] - place) ** 2, 1e3))
+            span = float(np.ptp(values))
+            place = np.asarray(values, dtype=float) / (REACH * span) if span > 0 else np.zeros(len(condition))
+            alike = alike * np.exp(-0.5 * (place[:, None] - place) ** 2)
         size = rho * np.abs(offset[where])
         whole[where, where] = np.outer(size, size) * alike
     return whole

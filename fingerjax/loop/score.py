@@ -23,7 +23,6 @@ from ..identify.uncertainty import combination
 from ..parameters import Parameter
 from .refit import Optimum
 from .subject import Column, Family
-from .whitening import Projection
 
 LEFT = 0.03  # share of a column's length that Q leaves, below which it is absorbed
 FELT = 1e-3  # standard deviations by which a plausible size must move all rows together to be felt at all
@@ -32,45 +31,59 @@ _QUANTILE = 0.998  # at which statistics of several columns are made to agree wi
 
 
 @dataclass(frozen=True, eq=False)
+class Node:
+    """One node of a family's grid: its columns that can be tested, their statistic, and key -> expected change from null."""
+
+    columns: tuple[Column, ...]
+    statistic: float
+    change: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
 class Score:
     """One family, ranked.
 
-    - `variant`: its columns at the best node; `z`: signed where it is one column, else the root of the block statistic, lowered.
-    - `statistic`: what is compared with the critical value: |z|, or z on its own side.
-    - `by_variant`: the statistic of each node that can be tested, best first.
-    - `change`: key -> expected change from null; `theta_shift` (p,): what it does to the raw base parameters.
-    - `left`: |Q S| / |S| of its first column; `length`: |Q S|, per unit. `direction` (sample,): Q S change, as a unit vector.
-    - `testable`, and `reason` where it is not; `imitation`: the change of base parameters that looks the same.
+    - `nodes`: of its grid, best first; none where it cannot be tested, and `reason` says why.
+    - `z`: signed where the best node is one column, else its statistic. `statistic`: what is compared with the critical value.
+    - `theta_shift` (p,): what the expected change does to the raw base parameters.
+    - `left`: |Q S| / |S| of the first column; `length`: |Q S| per unit of it.
+    - `direction` (sample,): Q S change as a unit vector. `imitation`: the change of base parameters that an absorbed effect passes for.
     """
 
     family: Family
-    variant: tuple[Column, ...]
+    nodes: tuple[Node, ...]
     z: float
     statistic: float
-    by_variant: tuple[tuple[tuple[Column, ...], float], ...]
-    change: Mapping[str, float]
     theta_shift: Float[np.ndarray, "p"]
     left: float
     length: float
     direction: Float[np.ndarray, "sample"]
-    testable: bool
     reason: str = ""
     imitation: str = ""
 
+    @property
+    def testable(self) -> bool:
+        return bool(self.nodes)
+
+    @property
+    def change(self) -> Mapping[str, float]:
+        """Key -> expected change from null at the best node."""
+        return self.nodes[0].change if self.nodes else {}
+
     def smallest(self, critical: float) -> float:
         """The size that these data would have shown with 90 % probability, in the unit of the first column; inf where none."""
-        return (critical + POWER) / self.length if self.testable and self.length > 0 else math.inf
+        return (critical + POWER) / self.length if self.testable else math.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """All families at one optimum, best first.
 
-    - `tested`: for each variant of each family that can be tested its columns, projected and normalised (sample, k).
+    - `blocks`: for each node of each family that can be tested its columns, and these projected and normalised (sample, k).
     """
 
     scores: tuple[Score, ...]
-    tested: tuple[tuple[tuple[Column, ...], Float[np.ndarray, "sample k"]], ...]
+    blocks: tuple[tuple[tuple[Column, ...], Float[np.ndarray, "sample k"]], ...]
 
     def __getitem__(self, family: str) -> Score:
         return next(score for score in self.scores if score.family.name == family)
@@ -83,92 +96,91 @@ class Ranking:
     def absorbed(self) -> tuple[Score, ...]:
         return tuple(score for score in self.scores if score.imitation)
 
+    @property
+    def largest(self) -> float:
+        return max((score.statistic for score in self.testable), default=0.0)
+
 
 def rank(best: Optimum, families: Sequence[Family], columns: Mapping[str, Float[np.ndarray, "rows"]]) -> Ranking:
     """Every family's score at an optimum.
 
     **Arguments:** `columns`: key -> (rows,) in the units of the rows per unit of the effect, as the subject gives them.
     """
-    whitened = {key: best.sample.columns(np.asarray(column, dtype=float)[:, None])[:, 0] for key, column in columns.items()}
-    work = _Work(best, best.projection, best.projection(best.residual), whitened)
-    scores = sorted((work.score(family) for family in families), key=lambda score: (not score.testable, -score.statistic))
-    tested = [
-        (variant, work.normalised(variant)) for score in scores if score.testable for variant in (pair[0] for pair in score.by_variant)
-    ]
-    return Ranking(tuple(scores), tuple((work.seen(variant), block) for variant, block in tested))
+    work = _Work.of(best, [column for family in families for column in family.columns], columns)
+    scores = tuple(sorted((work.score(family) for family in families), key=lambda score: (not score.testable, -score.statistic)))
+    return Ranking(scores, tuple((node.columns, work.block(node.columns)) for score in scores for node in score.nodes))
 
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    best: Optimum
-    projection: Projection
-    residual: Float[np.ndarray, "sample"]
-    whitened: Mapping[str, Float[np.ndarray, "sample"]]
+    """Columns by key: whitened, and what Q leaves of them."""
 
-    def share_left(self, column: Column) -> float:
-        whole = float(np.linalg.norm(self.whitened[column.key]))
-        return float(np.linalg.norm(self.projection(self.whitened[column.key]))) / whole if whole > 0 else 0.0
+    best: Optimum
+    residual: Float[np.ndarray, "sample"]
+    whole: Mapping[str, Float[np.ndarray, "sample"]]
+    rest: Mapping[str, Float[np.ndarray, "sample"]]
+
+    @classmethod
+    def of(cls, best: Optimum, wanted: Sequence[Column], columns: Mapping[str, np.ndarray]) -> _Work:
+        keys = [column.key for column in wanted]
+        stacked = np.array([columns[key] for key in keys], dtype=float).reshape(len(keys), -1).T
+        stacked = (
+            np.where(np.isfinite(stacked).all(axis=0), stacked, 0.0).reshape(-1, len(keys))
+            if keys
+            else np.zeros((len(best.at.prediction), 0))
+        )
+        whole = best.sample.columns(stacked)
+        rest = best.projection(whole)
+        return cls(best, best.projection(best.residual), dict(zip(keys, whole.T, strict=True)), dict(zip(keys, rest.T, strict=True)))
 
     def felt(self, column: Column) -> bool:
-        values = self.whitened[column.key]
-        return bool(np.isfinite(values).all()) and float(np.linalg.norm(values)) * column.scale > FELT
+        return float(np.linalg.norm(self.whole[column.key])) * column.scale > FELT
 
-    def seen(self, variant: Sequence[Column]) -> tuple[Column, ...]:
-        """The columns of a variant that can be tested."""
-        return tuple(column for column in variant if self.felt(column) and self.share_left(column) >= LEFT)
+    def left(self, column: Column) -> float:
+        whole = float(np.linalg.norm(self.whole[column.key]))
+        return float(np.linalg.norm(self.rest[column.key])) / whole if whole > 0 else 0.0
 
-    def normalised(self, variant: Sequence[Column]) -> Float[np.ndarray, "sample k"]:
-        block = np.stack([self.projection(self.whitened[column.key]) for column in self.seen(variant)], axis=1)
-        return block / np.linalg.norm(block, axis=0)
+    def block(self, columns: Sequence[Column]) -> Float[np.ndarray, "sample k"]:
+        rest = np.stack([self.rest[column.key] for column in columns], axis=1)
+        return rest / np.linalg.norm(rest, axis=0)
+
+    def node(self, columns: tuple[Column, ...]) -> Node:
+        block = self.block(columns)
+        lengths = np.array([np.linalg.norm(self.rest[column.key]) for column in columns])
+        sizes = np.linalg.lstsq(block, self.residual, rcond=1e-9)[0] / lengths
+        change = {column.key: float(size) for column, size in zip(columns, sizes, strict=True)}
+        return Node(columns, float(statistics(block, columns, self.residual[:, None])[0]), change)
 
     def score(self, family: Family) -> Score:
-        ranked = [(variant, self.statistic(variant)) for variant in family.variants if self.seen(variant)]
-        ranked.sort(key=lambda pair: -pair[1])
-        if not ranked:
-            return self._untestable(family)
-        variant = ranked[0][0]
-        columns = self.seen(variant)
-        block = self.normalised(variant)
-        lengths = np.array([np.linalg.norm(self.projection(self.whitened[column.key])) for column in columns])
-        sizes = np.linalg.lstsq(block, self.residual, rcond=1e-9)[0] / lengths
-        z = float(block[:, 0] @ self.residual) if len(columns) == 1 else ranked[0][1]
-        change = {column.key: float(size) for column, size in zip(columns, sizes, strict=True)}
-        moved = sum((self.whitened[key] * size for key, size in change.items()), np.zeros_like(self.residual))
-        shift = -self.projection.inverse @ moved
-        direction = self.projection(moved)
-        direction = direction / max(float(np.linalg.norm(direction)), 1e-300)
-        p = len(self.best.raw)
-        return Score(
-            family,
-            variant,
-            z,
-            ranked[0][1],
-            tuple(ranked),
-            change,
-            shift[:p],
-            self.share_left(columns[0]),
-            float(lengths[0]),
-            direction,
-            True,
-        )
+        seen = [tuple(one for one in variant if self.felt(one) and self.left(one) >= LEFT) for variant in family.variants]
+        nodes = tuple(sorted((self.node(columns) for columns in seen if columns), key=lambda node: -node.statistic))
+        return self._tested(family, nodes) if nodes else self._untestable(family)
 
-    def statistic(self, variant: Sequence[Column]) -> float:
-        columns = self.seen(variant)
-        return float(statistics(self.normalised(variant), columns, self.residual[:, None])[0])
+    def _tested(self, family: Family, nodes: tuple[Node, ...]) -> Score:
+        best = nodes[0]
+        first = best.columns[0]
+        z = float(self.block(best.columns)[:, 0] @ self.residual) if len(best.columns) == 1 else best.statistic
+        moved = sum((self.whole[key] * size for key, size in best.change.items()), np.zeros_like(self.residual))
+        direction = self.best.projection(moved)
+        length = float(np.linalg.norm(self.rest[first.key]))
+        return Score(
+            family, nodes, z, best.statistic, self._shift(moved), self.left(first), length,
+            direction / max(float(np.linalg.norm(direction)), 1e-300),
+        )  # fmt: skip
+
+    def _shift(self, moved: np.ndarray) -> np.ndarray:
+        return -(self.best.projection.inverse @ moved)[: len(self.best.raw)]
 
     def _untestable(self, family: Family) -> Score:
-        column = family.columns[0]
-        felt = [one for one in family.columns if self.felt(one)]
-        nothing, p = np.zeros_like(self.residual), len(self.best.raw)
-        if not felt:
+        felt = next((one for one in family.columns if self.felt(one)), None)
+        nothing = np.zeros_like(self.residual)
+        if felt is None:
             reason = "a plausible size of it does not move these data"
-            return Score(family, (column,), 0.0, 0.0, (), {}, np.zeros(p), 0.0, 0.0, nothing, False, reason)
-        column = felt[0]
-        shift = (self.projection.inverse @ self.whitened[column.key])[:p] * column.scale
-        likeness = imitation(self.best.sample.subject.parameters, shift, column)
+            return Score(family, (), 0.0, 0.0, np.zeros(len(self.best.raw)), 0.0, 0.0, nothing, reason)
+        shift = self._shift(self.whole[felt.key] * felt.scale)
         reason = "absorbed by the base parameters: these data cannot tell it from a change of them"
-        left = self.share_left(column)
-        return Score(family, (column,), 0.0, 0.0, (), {}, -shift, left, 0.0, nothing, False, reason, likeness)
+        likeness = imitation(self.best.sample.subject.parameters, -shift, felt)
+        return Score(family, (), 0.0, 0.0, shift, self.left(felt), 0.0, nothing, reason, likeness)
 
 
 def statistics(

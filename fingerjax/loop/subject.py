@@ -198,10 +198,6 @@ class Rows:
                 numbers[row] = seen.setdefault(what, len(seen))
         return numbers
 
-    def in_role(self, role: str) -> Shaped[np.ndarray, "rows"]:
-        """(rows,) bool: the rows whose condition has this role."""
-        return np.array([self.roles.get(str(name), "fit") == role for name in self.condition], dtype=bool)
-
 
 def _steps(values: np.ndarray) -> np.ndarray:
     """Coordinates as whole numbers of a step too small to matter."""
