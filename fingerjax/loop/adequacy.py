@@ -1,0 +1,113 @@
+"""Does the model fit? Three tests that see different misfits, a third of alpha each.
+
+    omnibus     F = (|r along what can be predicted|^2 / df) / s^2            any misfit, weakly
+    smooth      the same on the lowest cosines of every condition, made orthogonal to J       what bends slowly, well
+    max-T       the largest score of the catalogue                            what the catalogue knows, best
+
+The noise is whitened by what repeats say, hence s = 1 with nu degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from .critical import Critical, critical
+from .refit import Optimum
+from .sample import Sample
+from .score import Ranking, rank
+from .subject import Family
+
+MODES = 30
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """p values; `df` and `misfit`: degrees of freedom and sum of squares of what could have been predicted."""
+
+    omnibus_p: float
+    smooth_p: float
+    largest_p: float
+    df: float
+    misfit: float
+    alpha: float = 0.05
+
+    @property
+    def rejected(self) -> bool:
+        return min(self.omnibus_p, self.smooth_p, self.largest_p) < self.alpha / 3
+
+    @property
+    def bends(self) -> bool:
+        """Whether one of the two tests that know no effect rejects."""
+        return min(self.omnibus_p, self.smooth_p) < self.alpha / 3
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """All that one optimum shows: what is left, and what could explain it."""
+
+    best: Optimum
+    ranking: Ranking
+    critical: Critical
+    adequacy: Adequacy
+
+
+def look(best: Optimum, families: Sequence[Family], *, nu: float, alpha: float, seed: int) -> Look:
+    """Rank the families at an optimum and test it. Effects that are awake there are part of the model that the others must leave."""
+    ranking = rank(best, families, best.sample.subject.columns(best.raw, best.phi))
+    value = critical(ranking, nu=nu, alpha=alpha, seed=seed)
+    return Look(best, ranking, value, adequacy(best, nu=nu, largest_p=value.p(ranking.largest), alpha=alpha))
+
+
+def adequacy(best: Optimum, *, nu: float, largest_p: float, alpha: float = 0.05) -> Adequacy:
+    """The three tests at an optimum."""
+    predictable = _orthonormal(best.projection(best.sample.settings()))
+    misfit = _squares(predictable, best.residual)
+    smooth = _orthonormal(best.projection(modes(best.sample)))
+    return Adequacy(
+        _f(misfit, predictable.shape[1], nu),
+        _f(_squares(smooth, best.residual), smooth.shape[1], nu),
+        largest_p,
+        float(predictable.shape[1]),
+        misfit,
+        alpha,
+    )
+
+
+def modes(sample: Sample, count: int = MODES) -> Float[np.ndarray, "sample modes"]:
+    """The lowest cosines along every condition of every block, whitened: all constants, all slopes, and so on up to `count`."""
+    rows, found = sample.subject.rows, []
+    for degree in range(4):
+        for name, where in rows.blocks.items():
+            along, inside = rows.along(name), np.arange(len(rows))[where]
+            for condition in dict.fromkeys(rows.condition[where].tolist()):
+                here = (rows.condition[where] == condition) & sample.chosen[where]
+                if len(set(along[here].tolist())) > degree:
+                    place = (along[here] - along[here].min()) / max(float(np.ptp(along[here])), 1e-300)
+                    column = np.zeros(len(rows))
+                    column[inside[here]] = np.cos(math.pi * degree * place)
+                    found.append(column)
+    return sample.columns(np.stack(found[:count], axis=1)) if found else np.zeros((sample.size, 0))
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    """A basis of what is left of columns that were projected; those that vanished count for nothing."""
+    if columns.shape[1] == 0:
+        return columns
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular > 1e-7 * max(singular[0], 1e-300)]
+
+
+def _squares(basis: np.ndarray, residual: np.ndarray) -> float:
+    return float(np.sum((basis.T @ residual) ** 2))
+
+
+def _f(squares: float, df: int, nu: float) -> float:
+    if df == 0:
+        return 1.0
+    return float(stats.f.sf(squares / df, df, nu) if math.isfinite(nu) else stats.chi2.sf(squares, df))

@@ -1,0 +1,177 @@
+"""The loop from end to end: noise, base fit, mesh, adequacy, ranking, refits, verdict, and what to measure next.
+
+diagnosis = diagnose(subject, seed=0)
+diagnosis.verdict.text          one sentence
+diagnosis.record()              everything, as JSON
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..errors import InputError
+from ..spelling import choose_from
+from . import heldout, records
+from .adequacy import Look, look
+from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
+from .explanations import Explanation, Inquiry
+from .meshguard import RHO, MeshGuard, correction, guard, leftover, unchecked
+from .noise import Noise, estimate, outliers
+from .record import Diagnosis, NextExperiment, Planted
+from .refit import Keep, Optimum, forget, optimum
+from .sample import Sample
+from .separate import Rival, next_experiments
+from .subject import NONE, AbstractSubject, Family
+from .verdict import Verdict, asks_for_effects, decide
+
+Tell = Callable[[float, str], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Everything that was found, before it is written down.
+
+    - `columns`: key -> (rows,) of the subject at the base fit. `last`: what the model says in the end: the base where nothing is named.
+    """
+
+    subject: AbstractSubject
+    families: tuple[Family, ...]
+    roles: Mapping[str, str]
+    noise: Noise
+    mesh: MeshGuard
+    base: Look
+    columns: Mapping[str, Float[np.ndarray, "rows"]]
+    explanations: list[Explanation]
+    verdict: Verdict
+    next: list[NextExperiment]
+    alarms: FalseAlarms
+    planted: list[Planted]
+    seed: int
+    seconds: float
+
+    @property
+    def last(self) -> Look:
+        return self.verdict.members[0].look if self.verdict.members else self.base
+
+
+def diagnose(
+    subject: AbstractSubject,
+    *,
+    seed: int = 0,
+    effects: str | tuple[str, ...] = "all",
+    alpha: float = 0.05,
+    sets: int = SETS,
+    tell: Tell = lambda share, what: None,
+    kept: Keep = forget,
+) -> Diagnosis:
+    """Trace the residual of a model to what it lacks.
+
+    **Arguments:**
+
+    - `effects`: `all`, `none`, or the names of those that are asked for.
+    - `alpha`: probability of calling a model wrong that is right. `sets`: made-up data sets by which that is checked.
+    - `tell(share, what)` hears of the progress.
+    - `kept(name, make)` gives back what `make()` once gave under that name: a dictionary of numbers, the end of one search.
+
+    **Raises** `InputError` where an effect is asked for that the subject does not have.
+    """
+    return records.written(investigate(subject, seed=seed, effects=effects, alpha=alpha, sets=sets, tell=tell, kept=kept))
+
+
+def investigate(
+    subject: AbstractSubject, *, seed: int, effects: str | tuple[str, ...], alpha: float, sets: int, tell: Tell, kept: Keep
+) -> Findings:  # fmt: skip
+    """The same with all of its inner results."""
+    started = time.perf_counter()
+    families, roles = _asked(subject, effects), heldout.roles(subject.rows)
+    chosen, held = (heldout.in_role(subject.rows, roles, role) for role in ("fit", "veto"))
+    tell(0.0, "noise and base fit")
+    noise, best, mesh = _base(subject, chosen, kept)
+    base, columns = _looked(best, families, noise, alpha, seed)
+    singles, pairs = [], []
+    if asks_for_effects(noise, base):
+        inquiry = Inquiry(base, families, held, noise.dof, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.7))
+        singles = inquiry.singles()
+        if not any(one.in_set for one in singles):
+            pairs = inquiry.pairs(singles)
+    verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)
+    tell(0.8, "what to measure next")
+    after = next_experiments(best, _rivals(base, verdict, singles), columns) if best.settled else []
+    alarms, grown = _checked(base, families, columns, mesh, noise, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))
+    return Findings(
+        subject, families, roles, noise, mesh, base, columns, [*singles, *pairs], verdict, after, alarms, grown, seed,
+        time.perf_counter() - started,
+    )  # fmt: skip
+
+
+def _asked(subject: AbstractSubject, effects: str | tuple[str, ...]) -> tuple[Family, ...]:
+    if effects == "all":
+        return subject.families
+    names = () if effects == "none" else (effects,) if isinstance(effects, str) else effects
+    by_name = {family.name: family for family in subject.families}
+    for name in names:
+        if name not in by_name:
+            raise InputError("no such effect", seen=name, remedy=choose_from(name, by_name))
+    return tuple(by_name[name] for name in names)
+
+
+def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep) -> tuple[Noise, Optimum, MeshGuard]:
+    """The noise, the base fit on the corrected prediction, and what the mesh leaves."""
+    noise = estimate(subject.rows)
+    start = np.array([parameter.raw() for parameter in subject.parameters])
+    sample = Sample.of(subject, noise, chosen)
+    best = optimum(sample, (), start, NONE, name="base", kept=kept)
+    if best.settled and (again := outliers(subject.rows, noise, sample.error(best.at))).weights.min() < noise.weights.min():
+        noise, sample = again, Sample.of(subject, again, chosen)
+        best = optimum(sample, (), best.raw, NONE, name="base with outliers weighed", kept=kept)
+    offset = correction(best) if best.settled else None
+    if offset is None:
+        return noise, best, unchecked(len(subject.rows), len(start))
+    left = leftover(subject.rows, offset)
+    best = optimum(sample.corrected(offset, left), (), best.raw, NONE, name="base on the finer mesh", kept=kept)
+    return noise, best, guard(best, offset, left, RHO)
+
+
+def _looked(
+    best: Optimum, families: tuple[Family, ...], noise: Noise, alpha: float, seed: int
+) -> tuple[Look, Mapping[str, np.ndarray]]:  # fmt: skip
+    """The base fit with its ranking; one that did not settle has none, for its residual means nothing."""
+    if not best.settled:
+        best = dataclasses.replace(best, residual=np.zeros(best.residual.shape), jacobian=np.zeros(best.jacobian.shape))
+        return look(best, (), nu=noise.dof, alpha=alpha, seed=seed), {}
+    columns = best.sample.subject.columns(best.raw)
+    return look(best, families, nu=noise.dof, alpha=alpha, seed=seed), columns
+
+
+def _rivals(base: Look, verdict: Verdict, singles: list[Explanation]) -> list[Rival]:
+    """What the next experiment should separate: the explanations that remain, or where one is named its closest competitors."""
+    members = [one for one in verdict.members if len(one.families) == 1]
+    close = [one for one in singles if one.significant and one not in members]
+    wanted = members if len(members) > 1 else [*members, *close][:3]
+    return [Rival(one.best.columns[0], one.best.phi[one.best.columns[0].key] - one.best.columns[0].null) for one in wanted]
+
+
+def _checked(
+    base: Look,
+    families: tuple[Family, ...],
+    columns: Mapping[str, np.ndarray],
+    mesh: MeshGuard,
+    noise: Noise,
+    sets: int,
+    seed: int,
+    tell: Tell,
+) -> tuple[FalseAlarms, list[Planted]]:
+    machine = Machine(base, families, columns, mesh.left, noise.dof)
+    if not sets:
+        return false_alarms(machine, seed=seed, sets=0), []
+    return false_alarms(machine, seed=seed, sets=sets, tell=tell), planted(machine, seed=seed)
+
+
+def _part(tell: Tell, start: float, length: float) -> Tell:
+    return lambda share, what: tell(start + length * share, what)

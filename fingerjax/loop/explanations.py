@@ -1,0 +1,252 @@
+"""Which effects explain a misfit: refitted one by one, then two together, and kept only where nothing speaks against them.
+
+An explanation stays in the set where
+
+    a  Delta = RSS_0 - RSS_k > c^2                    it explains more than chance would
+    b  the three tests of adequacy pass with it       and leaves nothing to be explained
+    c  held-out conditions are not worse by 9         it predicts what it has not seen
+    d  it lies inside what is plausible
+
+A second term of the same effect is tried before another effect is. Where the set is empty two effects are tried together, each of which
+must explain more than chance given the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool
+
+from . import heldout
+from .adequacy import Look, look
+from .meshguard import correction
+from .refit import Keep, Optimum, forget, optimum
+from .score import Node, rank
+from .subject import Column, Family
+
+FAMILIES, NODES = 7, 2  # refitted, best first
+LEADS, RIVALS = 4, 3  # singles, and what each is paired with
+MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
+
+Tell = Callable[[float, str], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """One or two families, refitted.
+
+    - `families`, `look`: who, and what is left with them. `delta`: RSS_0 - RSS_k. `eta`: share of the excess misfit that is gone.
+    - `drops`: family -> rise of RSS without it. `veto`: rise of chi-square on held-out conditions. `needed`: what each drop must exceed.
+    """
+
+    families: tuple[str, ...]
+    look: Look
+    delta: float
+    eta: float
+    drops: Mapping[str, float]
+    veto: float
+    needed: float
+
+    @property
+    def best(self) -> Optimum:
+        return self.look.best
+
+    @property
+    def name(self) -> str:
+        return " + ".join(self.families)
+
+    @property
+    def significant(self) -> bool:
+        return self.best.settled and min(self.drops.values()) > self.needed
+
+    @property
+    def holds(self) -> bool:
+        """Whether held-out conditions do not object; where there are none they cannot."""
+        return not self.veto > heldout.WORSE
+
+    @property
+    def sound(self) -> bool:
+        """All but that nothing is left: significant, plausible, and no veto."""
+        return self.significant and self.best.plausible and self.holds
+
+    @property
+    def in_set(self) -> bool:
+        return self.sound and not self.look.adequacy.rejected
+
+    @property
+    def reason(self) -> str:
+        """Why it is not in the set; nothing where it is."""
+        if not self.best.settled:
+            return self.best.reason
+        said = [
+            (not self.significant, "explains no more than chance would"),
+            (not self.best.plausible, "runs to the end of what is plausible"),
+            (self.look.adequacy.rejected, "leaves something to be explained"),
+            (not self.holds, "makes held-out conditions worse"),
+        ]
+        return "; ".join(why for true, why in said if true)
+
+    def bic(self, settings: int) -> float:
+        return self.best.rss + self.best.jacobian.shape[1] * math.log(max(settings, 2))
+
+
+@dataclass(eq=False)
+class Inquiry:
+    """A base fit that was rejected, and what is asked of it.
+
+    - `held` (rows,): conditions with a veto. `margin`: what the mesh asks on top of the critical value.
+    - `kept`: stores finished searches by name. `tell(share, what)` hears of the progress.
+    """
+
+    base: Look
+    families: tuple[Family, ...]
+    held: Bool[np.ndarray, "rows"]
+    nu: float
+    alpha: float
+    seed: int
+    margin: float = 0.0
+    kept: Keep = forget
+    tell: Tell = lambda share, what: None
+    found: dict[str, Explanation] = field(default_factory=dict)
+
+    @property
+    def needed(self) -> float:
+        """Delta that chance, or what the mesh leaves, does not reach."""
+        return (self.base.critical.value + self.margin) ** 2
+
+    def single(self, family: str) -> Explanation:
+        """The best explanation by one family, refitted once: its best nodes, and a second term where one is not enough."""
+        if family not in self.found:
+            fits = [self._fitted(node) for node in self.base.ranking[family].nodes[:NODES]]
+            first = self._explained((family,), min(fits, key=_misfit), {family: self.base.best.rss})
+            self.found[family] = self._second(first) or first
+        return self.found[family]
+
+    def _fitted(self, node: Node) -> Optimum:
+        fits = [
+            optimum(self.base.best.sample, node.columns, self.base.best.raw, start, name=_label(node.columns, number), kept=self.kept)
+            for number, start in enumerate(starts(node))
+        ]
+        return min(fits, key=_misfit)
+
+    def _explained(self, families: tuple[str, ...], best: Optimum, without: Mapping[str, float]) -> Explanation:
+        """**Arguments:** `without`: family -> RSS of the fit that lacks it. The mesh's correction is made anew for what was found."""
+        best = self._on_its_own_mesh(best)
+        others = [family for family in self.families if family.name not in families]
+        if not best.settled:
+            nothing = dict.fromkeys(families, math.nan)
+            return Explanation(families, self._blank(best), math.nan, math.nan, nothing, math.nan, self.needed)
+        seen = look(best, others, nu=self.nu, alpha=self.alpha, seed=self.seed)
+        base = self.base.adequacy
+        excess = max(base.misfit - base.df, 1e-300)
+        eta = 1.0 - (seen.adequacy.misfit - seen.adequacy.df) / excess
+        drops = {family: rss - best.rss for family, rss in without.items()}
+        worse = heldout.veto(self.base.best, best, self.held)
+        return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, self.needed)
+
+    def _blank(self, best: Optimum) -> Look:
+        return Look(best, self.base.ranking, self.base.critical, self.base.adequacy)
+
+    def _on_its_own_mesh(self, best: Optimum) -> Optimum:
+        if not best.settled or self.base.best.rss - best.rss < self.needed or not best.sample.offset.any():
+            return best
+        offset = correction(best)
+        if offset is None:
+            return best
+        again = optimum(
+            best.sample.corrected(offset), best.columns, best.raw, best.phi, name=f"{_label(best.columns)} on its own mesh", kept=self.kept
+        )
+        return again if again.settled else best
+
+    def _second(self, first: Explanation) -> Explanation | None:
+        """With a second term of the same family, where the first is sound but not enough and the second explains more than chance."""
+        family = next(one for one in self.families if one.name == first.families[0])
+        awake = first.best.columns
+        more = tuple(column for column in family.second if column.fixed not in [one.fixed for one in awake if one.fixed])
+        if not (more and first.significant and first.look.adequacy.rejected):
+            return None
+        columns = self.base.best.sample.subject.columns(first.best.raw, first.best.phi)
+        score = rank(first.best, [Family(family.name, more)], columns).scores[0]
+        fits = [self._added(first, node) for node in score.nodes[:NODES]]
+        if not fits:
+            return None
+        both = self._explained(first.families, min(fits, key=_misfit), {family.name: self.base.best.rss})
+        return both if both.best.settled and first.best.rss - both.best.rss > self.needed else None
+
+    def _added(self, first: Explanation, node: Node) -> Optimum:
+        columns = (*first.best.columns, *node.columns)
+        fits = [
+            optimum(first.best.sample, columns, first.best.raw, {**first.best.phi, **start}, name=_label(columns, number), kept=self.kept)
+            for number, start in enumerate(starts(node))
+        ]
+        return min(fits, key=_misfit)
+
+    def singles(self) -> list[Explanation]:
+        """The best families by score, refitted, best first."""
+        ranked = self.base.ranking.testable[:FAMILIES]
+        for number, score in enumerate(ranked):
+            self.tell(number / len(ranked), f"refit with {score.family.name}")
+            self.single(score.family.name)
+        return sorted(self.found.values(), key=lambda one: -_number(one.delta))
+
+    def pairs(self, singles: list[Explanation]) -> list[Explanation]:
+        """Two effects at once: the leading singles, each with what its own residual asks for."""
+        leads = [one for one in singles if one.significant][:LEADS]
+        found: dict[frozenset[str], Explanation] = {}
+        for number, lead in enumerate(leads):
+            self.tell(number / len(leads), f"{lead.name} with a second effect")
+            for node in self._rivals(lead):
+                names = (lead.families[0], node.columns[0].family)
+                fit = self._added(lead, node)
+                if fit.settled:
+                    pair = self._explained(names, fit, {names[1]: lead.best.rss, names[0]: self.single(names[1]).best.rss})
+                    known = found.get(frozenset(names))
+                    if known is None or pair.best.rss < known.best.rss:
+                        found[frozenset(names)] = pair
+        return sorted(found.values(), key=lambda one: -_number(one.delta))
+
+    def _rivals(self, lead: Explanation) -> list[Node]:
+        """What the residual of a lead asks for most, of what could be told from the base parameters at all."""
+        scores = [score for score in lead.look.ranking.testable if self.base.ranking[score.family.name].testable]
+        return [score.nodes[0] for score in scores[:RIVALS]]
+
+
+def main(singles: list[Explanation]) -> Explanation | None:
+    """The effect that explains nearly all of the misfit and leads every other family by far, though something is left."""
+    sound = [one for one in singles if one.sound]
+    if not sound or sound[0].eta < MATERIAL:
+        return None
+    others = [_number(one.delta) for one in singles if one is not sound[0]]
+    return sound[0] if sound[0].delta - max(others, default=0.0) >= AHEAD else None
+
+
+def starts(node: Node) -> Iterator[dict[str, float]]:
+    """Where a search begins: at the expected change, and where that is larger than plausible at half a plausible size as well."""
+    plain = {one.key: _towards(one, node.change[one.key]) for one in node.columns}
+    yield plain
+    if any(abs(node.change[one.key]) > one.scale for one in node.columns):
+        yield {one.key: _towards(one, math.copysign(0.5 * one.scale, node.change[one.key])) for one in node.columns}
+
+
+def _towards(column: Column, change: float) -> float:
+    """A start inside the bounds and away from null, where a secant's tangent would vanish."""
+    least = 0.05 * column.scale
+    if column.sign and change * column.sign < least:
+        change = column.sign * least
+    change = math.copysign(max(abs(change), least), change)
+    return column.clipped(column.null + change)
+
+
+def _label(columns: tuple[Column, ...], number: int = 0) -> str:
+    return "refit " + " ".join(column.key for column in columns) + (f" again {number}" if number else "")
+
+
+def _misfit(best: Optimum) -> float:
+    return best.rss + best.penalty if best.settled else math.inf
+
+
+def _number(value: float) -> float:
+    return value if math.isfinite(value) else -math.inf

@@ -1,0 +1,169 @@
+"""How large the noise is, before anything is said of a misfit: from repeats, from what was stated, or not known.
+
+    Sigma = diag(sigma^2 / weight) in traces whose neighbours may be correlated + what trials share + calibration
+
+The verdict that a model is adequate needs repeats: three of each setting and 30 degrees of freedom. A stated standard deviation allows
+effects to be named at that noise; where nothing is known nothing is named. It is never taken from the residuals of a model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .repeats import Repeats, from_repeats
+from .subject import Rows
+
+REPLICATES, STATED, ASSUMED = "replicates", "stated", "assumed"
+FEWEST_REPEATS, FEWEST_DOF = 3, 30
+LEAST_DOF = 6.0  # of one block, below which a stated standard deviation is preferred to its repeats
+GUESS = 0.05  # share of a block's root mean square that stands in where nothing is known, so that a fit can be made at all
+_POWER = {"spike_rate": 1.0}  # the variance of a count grows with its mean; of other readings, if at all, with the square
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """The noise of all rows.
+
+    - `sigma`, `weights` (rows,): standard deviation of a row, and how much it counts.
+    - `shared` (rows, rows): covariance that rows of one trial or one instrument have in common.
+    - `correlation` (rows, rows): of what is left, 1 on the diagonal; None where it is the identity.
+    - `source`: block -> `replicates`, `stated` or `assumed`; `repeats`: block -> the typical number of them.
+    - `nu`: degrees of freedom of pure error, inf where it is stated without saying of how many.
+    - `terms`: block -> standard deviations of `trial gain`, `trial zero`, `trace gain`, `trace zero`, and `neighbours`.
+    """
+
+    sigma: Float[np.ndarray, "rows"]
+    weights: Float[np.ndarray, "rows"]
+    shared: Float[np.ndarray, "rows rows"]
+    correlation: Float[np.ndarray, "rows rows"] | None
+    source: Mapping[str, str]
+    repeats: Mapping[str, float]
+    nu: float
+    terms: Mapping[str, dict[str, float]]
+
+    def covariance(self) -> Float[np.ndarray, "rows rows"]:
+        """Sigma without what the mesh leaves."""
+        size = self.sigma / np.sqrt(self.weights)
+        own = np.diag(size**2) if self.correlation is None else np.outer(size, size) * self.correlation
+        return own + self.shared
+
+    @property
+    def worst(self) -> str:
+        """The source that the whole rests on: that of the block of which least is known."""
+        return max(self.source.values(), key=(REPLICATES, STATED, ASSUMED).index)
+
+    @property
+    def known(self) -> bool:
+        """Whether effects may be named."""
+        return self.worst != ASSUMED
+
+    @property
+    def repeated(self) -> bool:
+        """Whether adequacy may be judged."""
+        return self.known and self.nu >= FEWEST_DOF and min(self.repeats.values()) >= FEWEST_REPEATS
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom for tests: `nu`, or inf where the noise is taken at its word."""
+        return self.nu if self.nu > 0 else math.inf
+
+    def allows(self) -> str:
+        """What may be said with this noise, in a sentence."""
+        if self.repeated:
+            return "Repeats tell the noise: effects may be named, and the model may be called adequate."
+        unknown = [name for name, source in self.source.items() if source == ASSUMED]
+        if unknown:
+            listed = ", ".join(unknown)
+            return f"Nothing tells the noise of {listed}: nothing is named; record three repeats, or state a standard deviation."
+        return (
+            f"The noise is stated, without {FEWEST_REPEATS} repeats and {FEWEST_DOF} degrees of freedom behind it: effects may be named "
+            "if it is right, but the model cannot be called adequate."
+        )
+
+    def weighed(self, rows: Float[np.ndarray, "rows"]) -> Noise:
+        """The same with other weights."""
+        return replace(self, weights=rows)
+
+
+def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> Noise:
+    """The noise of all rows, block by block; `measured` stands in for the rows' own where data are made up."""
+    y = rows.measured if measured is None else measured
+    n = len(rows)
+    sigma, weights, shared = np.ones(n), np.ones(n), np.zeros((n, n))
+    correlation, correlated = np.eye(n), False
+    source, repeats, terms, nu = {}, {}, {}, 0.0
+    condition, trial = (np.unique(values, return_inverse=True)[1].reshape(-1) for values in (rows.condition, rows.trial))
+    for name, where in rows.blocks.items():
+        found = _of_block(rows, y, name, condition[where], trial[where])
+        stated = None if rows.sigma is None or not np.isfinite(rows.sigma[where]).all() else rows.sigma[where]
+        repeats[name] = float(np.median(np.bincount(np.unique(rows.setting[where], return_inverse=True)[1].reshape(-1))))
+        if found is not None and (found.dof >= LEAST_DOF or stated is None):
+            source[name], sigma[where], weights[where] = REPLICATES, found.sigma, found.weights
+            shared[where, where] += _in_common(found, condition[where], trial[where])
+            terms[name] = _said(found)
+            nu += found.dof
+            if found.neighbours > 0:
+                correlation[where, where] = _along(found.neighbours, rows.along(name), condition[where], trial[where])
+                correlated = True
+        elif stated is not None:
+            source[name], sigma[where], terms[name] = STATED, stated, {}
+            repeats[name] = max(repeats[name], float(rows.stated_repeats.get(name, 1)))
+            nu += len(set(rows.setting[where].tolist())) * max(rows.stated_repeats.get(name, 1) - 1, 0)
+        else:
+            source[name], terms[name] = ASSUMED, {}
+            sigma[where] = GUESS * max(float(np.sqrt(np.mean(y[where] ** 2))), 1e-300)
+    for added in rows.calibration.values():
+        shared += np.outer(added, added)
+    return Noise(sigma, weights, shared, correlation if correlated else None, source, repeats, nu, terms)
+
+
+def _of_block(
+    rows: Rows, y: np.ndarray, name: str, condition: Int[np.ndarray, "members"], trial: Int[np.ndarray, "members"]
+) -> Repeats | None:
+    where, kind = rows.blocks[name], rows.kinds.get(name, "")
+    setting = np.unique(rows.setting[where], return_inverse=True)[1].reshape(-1)
+    return from_repeats(y[where], setting, condition, trial, rows.along(name), _POWER.get(kind, 2.0), kind in _POWER)
+
+
+def _in_common(found: Repeats, condition: np.ndarray, trial: np.ndarray) -> np.ndarray:
+    """(members, members): covariance by the gains and zeros of trials and of traces."""
+    basis = np.stack([found.centre, np.ones_like(found.centre)], axis=1)
+    together = trial[:, None] == trial
+    return together * (basis @ found.trial @ basis.T) + (together & (condition[:, None] == condition)) * (basis @ found.trace @ basis.T)
+
+
+def _along(neighbours: float, along: np.ndarray, condition: np.ndarray, trial: np.ndarray) -> np.ndarray:
+    """(members, members): correlation neighbours^|steps| within a trace, none between traces."""
+    place = np.zeros(len(along))
+    together = (trial[:, None] == trial) & (condition[:, None] == condition)
+    for one in range(len(along)):
+        inside = np.flatnonzero(together[one])
+        place[inside] = np.argsort(np.argsort(along[inside], kind="stable"), kind="stable")
+    return np.where(together, neighbours ** np.abs(place[:, None] - place), 0.0)
+
+
+def _said(found: Repeats) -> dict[str, float]:
+    names = ("trial gain", "trial zero", "trace gain", "trace zero")
+    sizes = np.sqrt(np.concatenate([np.diag(found.trial), np.diag(found.trace)]))
+    return {**{name: float(size) for name, size in zip(names, sizes, strict=True)}, "neighbours": found.neighbours}
+
+
+def outliers(rows: Rows, noise: Noise, residual: Float[np.ndarray, "rows"]) -> Noise:
+    """The noise with rows that have no repeats weighed by how far they stand out from the residuals of their own block.
+
+    **Arguments:** `residual`: data less model, in the units of the rows. The scale is the block's own (median absolute deviation, at least
+    the stated noise), so that a model that misses everywhere weighs nothing down.
+    """
+    weights = np.array(noise.weights)
+    alone = np.bincount(rows.setting)[rows.setting] < 2
+    for where in rows.blocks.values():
+        size = residual[where] / noise.sigma[where]
+        scale = max(1.4826 * float(np.median(np.abs(size - np.median(size)))), 1.0)
+        far = np.abs(size - np.median(size)) / scale
+        weights[where] = np.where(alone[where], np.minimum(1.0, 3.0 / np.maximum(far, 1e-300)), weights[where])
+    return noise.weighed(weights)

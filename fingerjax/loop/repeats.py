@@ -1,0 +1,207 @@
+"""What the repeats of one measurement say of its noise: its size, what a whole trial has in common, and rows that stand out.
+
+    y = mean of the setting + trace (gain, zero) + e,      var e = law(mean)
+
+A trace is what one trial recorded of one condition. Outliers are known by their disagreement with their own repeats, so that a large
+misfit of the model is never taken for one; they are weighed down (Huber 1981, proposal 2) and kept.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import optimize, stats
+
+TURN = 2.5  # standard deviations from which on a row counts less
+ROUNDS = 6  # of weights, traces and sizes in turn
+SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be told from noise
+CLEARLY = 10.0  # fall of the deviance at which a noise that grows with the value is believed where none is expected
+# Share of the normal variance that is left when everything is cut at TURN.
+_KEPT = float(2 * (stats.norm.cdf(TURN) - 0.5 - TURN * stats.norm.pdf(TURN)) + 2 * TURN**2 * stats.norm.sf(TURN))
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """The noise of one block as its repeats have it.
+
+    - `sigma` (rows,): standard deviation of a single row; `weights` (rows,): 1, less for rows that stand out.
+    - `centre` (rows,): the weighted mean of the setting.
+    - `trial`, `trace` (2, 2): covariance of (gain, zero) that a trial has in all its conditions, and that each trace has of its own.
+    - `neighbours`: correlation of neighbouring rows of a trace. `dof`: degrees of freedom behind `sigma`.
+    """
+
+    sigma: Float[np.ndarray, "rows"]
+    weights: Float[np.ndarray, "rows"]
+    centre: Float[np.ndarray, "rows"]
+    trial: Float[np.ndarray, "2 2"]
+    trace: Float[np.ndarray, "2 2"]
+    neighbours: float
+    dof: float
+
+
+def from_repeats(
+    measured: Float[np.ndarray, "rows"],
+    setting: Int[np.ndarray, "rows"],
+    condition: Int[np.ndarray, "rows"],
+    trial: Int[np.ndarray, "rows"],
+    along: Float[np.ndarray, "rows"],
+    power: float,
+    expected: bool,
+) -> Repeats | None:
+    """The noise of one block, or None where no setting is repeated.
+
+    **Arguments:** `setting`, `condition`, `trial`: numbers that rows of the same one share; `along`: the coordinate that orders a trace;
+    `power`: the noise's variance is a + b mean^power, with b = 0 unless it is `expected` or clearly seen.
+    """
+    count = np.bincount(setting)[setting]
+    if not (count > 1).any():
+        return None
+    _, traces = np.unique(np.stack([condition, trial]), axis=1, return_inverse=True)
+    traces = traces.reshape(-1)
+    weights, common = np.ones(len(measured)), np.zeros(len(measured))
+    centre = np.array([np.median(measured[setting == one]) for one in range(setting.max() + 1)])[setting]
+    for _ in range(ROUNDS):
+        coefficients = _traces(measured - centre, centre, traces, weights, count)
+        common = _spread(coefficients, centre, traces)
+        left = measured - centre - common
+        dof = float(np.sum(1.0 - 1.0 / count)) - _spent(coefficients, condition, traces)
+        sigma = _law(left, centre, weights, count, dof, power, expected)
+        expected_size = sigma * math.sqrt(max(dof, 1.0) / max(int((count > 1).sum()), 1))
+        weights = np.minimum(1.0, TURN * expected_size / np.maximum(np.abs(left), 1e-300))
+        centre = (np.bincount(setting, weights * (measured - common)) / np.bincount(setting, weights))[setting]
+    shared, own = _levels(coefficients, centre, traces, condition, trial, sigma, weights, count)
+    near = _neighbours(np.where(count > 1, left / sigma, 0.0), traces, along, len(coefficients))
+    return Repeats(sigma, weights, centre, shared, own, near, dof)
+
+
+def _basis(centre: np.ndarray) -> np.ndarray:
+    """(rows, 2): what a gain and a zero of one unit add."""
+    return np.stack([centre, np.ones_like(centre)], axis=1)
+
+
+def _traces(deviation: np.ndarray, centre: np.ndarray, traces: np.ndarray, weights: np.ndarray, count: np.ndarray) -> dict[int, np.ndarray]:
+    """Trace -> (gain, zero) by weighted least squares; the smallest where they cannot be told apart."""
+    found = {}
+    for one in range(traces.max() + 1):
+        rows = np.flatnonzero((traces == one) & (count > 1))
+        if len(rows) >= SHORTEST:
+            root = np.sqrt(weights[rows])
+            basis = _basis(centre[rows])
+            scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+            found[one] = np.linalg.lstsq(root[:, None] * basis / scale, root * deviation[rows], rcond=1e-6)[0] / scale
+    return found
+
+
+def _spread(coefficients: dict[int, np.ndarray], centre: np.ndarray, traces: np.ndarray) -> np.ndarray:
+    common = np.zeros(len(centre))
+    for one, pair in coefficients.items():
+        common[traces == one] = _basis(centre[traces == one]) @ pair
+    return common
+
+
+def _spent(coefficients: dict[int, np.ndarray], condition: np.ndarray, traces: np.ndarray) -> float:
+    """Degrees of freedom that the traces took: two of each, less those that the means of the settings had taken already."""
+    spent = 0.0
+    for one in np.unique(condition):
+        inside = len(set(traces[condition == one].tolist()) & set(coefficients))
+        spent += 2.0 * max(inside - 1, 0)
+    return spent
+
+
+def _law(
+    left: np.ndarray, centre: np.ndarray, weights: np.ndarray, count: np.ndarray, dof: float, power: float, expected: bool
+) -> Float[np.ndarray, "rows"]:
+    """(rows,) standard deviations: the root of a + b mean^power, fitted to the squares of what is left."""
+    use = count > 1
+    square = (weights[use] * left[use]) ** 2 / _KEPT * (use.sum() / max(dof, 1.0))
+    flat = float(np.mean(square))
+    grown = np.abs(centre) ** power
+    share = np.stack([np.ones(use.sum()), grown[use] / max(float(np.mean(grown[use])), 1e-300)], axis=1)
+    law = np.array([flat, 0.0])
+    for _ in range(4):
+        size = np.maximum(share @ law, 1e-3 * flat) + 1e-300
+        law = optimize.nnls(share / size[:, None], square / size)[0]
+    size = np.maximum(share @ law, 1e-2 * flat) + 1e-300
+    gain = np.sum(np.log(max(flat, 1e-300)) + square / max(flat, 1e-300)) - np.sum(np.log(size) + square / size)
+    if not (expected or gain * dof / use.sum() > CLEARLY):
+        law = np.array([flat, 0.0])
+    everywhere = law[0] + law[1] * grown / max(float(np.mean(grown[use])), 1e-300)
+    return np.sqrt(np.maximum(everywhere, 1e-2 * flat) + 1e-300)
+
+
+def _levels(
+    coefficients: dict[int, np.ndarray],
+    centre: np.ndarray,
+    traces: np.ndarray,
+    condition: np.ndarray,
+    trial: np.ndarray,
+    sigma: np.ndarray,
+    weights: np.ndarray,
+    count: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest.
+
+    Each is widened as Student's interval is, because few trials tell their own variance badly.
+    """
+    if not coefficients:
+        return np.zeros((2, 2)), np.zeros((2, 2))
+    where = {one: (condition[traces == one][0], trial[traces == one][0]) for one in coefficients}
+    metric, noise, whole = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+    for one, pair in coefficients.items():
+        rows = (traces == one) & (count > 1)
+        basis = _basis(centre[rows]) * (np.sqrt(weights[rows]) / sigma[rows])[:, None]
+        repeats = float(np.mean(count[rows]))
+        metric += basis.T @ basis / len(coefficients)
+        noise += np.linalg.pinv(basis.T @ basis, rcond=1e-10, hermitian=True) / len(coefficients)
+        whole += np.outer(pair, pair) * repeats / (repeats - 1.0) / len(coefficients)
+    shared, trials = _between(coefficients, where, count, traces)
+    root = np.linalg.cholesky(metric + 1e-12 * np.diag(np.diag(metric)) + 1e-300 * np.eye(2))
+    shared = _positive(shared, root)
+    conditions = len({one[0] for one in where.values()})
+    own = _positive(whole - noise - shared, root)
+    return shared * _widening(trials - 1), own * _widening(len(coefficients) - conditions)
+
+
+def _between(
+    coefficients: dict[int, np.ndarray], where: dict[int, tuple[int, int]], count: np.ndarray, traces: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Mean product of the traces of one trial in two conditions, and the number of trials that have two."""
+    total, pairs, trials = np.zeros((2, 2)), 0, set()
+    for one, (condition, trial) in where.items():
+        for other, (elsewhere, again) in where.items():
+            if again == trial and elsewhere != condition:
+                repeats = float(np.mean(count[traces == one]))
+                product = np.outer(coefficients[one], coefficients[other])
+                total += 0.5 * (product + product.T) * repeats / (repeats - 1.0)
+                pairs += 1
+                trials.add(trial)
+    return (total / pairs if pairs else total), len(trials)
+
+
+def _positive(matrix: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """The part of a symmetric matrix that is a covariance, in the metric root root'."""
+    values, vectors = np.linalg.eigh(root.T @ matrix @ root)
+    back = np.linalg.solve(root.T, vectors)
+    return (back * np.maximum(values, 0.0)) @ back.T
+
+
+def _widening(dof: int) -> float:
+    return float((stats.t.ppf(0.975, max(dof, 1)) / stats.norm.ppf(0.975)) ** 2)
+
+
+def _neighbours(left: np.ndarray, traces: np.ndarray, along: np.ndarray, fitted: int) -> float:
+    """Correlation of neighbours along the traces; 0 where it is not clear. What fitting took is given back."""
+    products, squares, pairs = 0.0, 0.0, 0
+    for one in range(traces.max() + 1):
+        rows = np.flatnonzero(traces == one)
+        rows = rows[np.argsort(along[rows], kind="stable")]
+        products += float(np.sum(left[rows[1:]] * left[rows[:-1]]))
+        squares += float(np.sum(left[rows] ** 2))
+        pairs += max(len(rows) - 1, 0)
+    if pairs < 20 or squares == 0.0:
+        return 0.0
+    share = products / squares * len(left) / pairs + (2.0 * fitted / len(left))
+    return float(np.clip(share, 0.0, 0.95)) if share > 2.0 / math.sqrt(pairs) else 0.0

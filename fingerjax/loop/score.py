@@ -1,0 +1,211 @@
+"""Rao's score: what every sleeping effect would explain, from one fit, the base parameters being free to move.
+
+    s~ = Q S,   z = s~' r / |s~|,   expected change = s~' r / |s~|^2,   implied shift of theta = -J^+ S change
+
+An effect on a grid counts by its best node; one that enters by several columns counts by z' (S~' S~)^-1 z, lowered by what more columns
+reach by chance; a one-sided effect counts only on its own side. A column of which less than 3 % is left by Q is absorbed: these data
+cannot tell it from a change of the base parameters. It is listed with the change that imitates it.
+
+Rao (1948); Silvapulle & Sen, Constrained Statistical Inference (2005) for one-sided tests.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from ..identify.uncertainty import combination
+from ..parameters import Parameter
+from .refit import Optimum
+from .subject import Column, Family
+
+LEFT = 0.03  # share of a column's length that Q leaves, below which it is absorbed
+FELT = 1e-3  # standard deviations by which a plausible size must move all rows together to be felt at all
+POWER = 1.28  # normal quantile of 90 %: how surely the smallest detectable size is detected
+_QUANTILE = 0.998  # at which statistics of several columns are made to agree with those of one
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """One node of a family's grid: its columns that can be tested, their statistic, and key -> expected change from null."""
+
+    columns: tuple[Column, ...]
+    statistic: float
+    change: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """One family, ranked.
+
+    - `nodes`: of its grid, best first; none where it cannot be tested, and `reason` says why.
+    - `z`: signed where the best node is one column, else its statistic. `statistic`: what is compared with the critical value.
+    - `theta_shift` (p,): what the expected change does to the raw base parameters.
+    - `left`: |Q S| / |S| of the first column; `length`: |Q S| per unit of it.
+    - `direction` (sample,): Q S change as a unit vector. `imitation`: the change of base parameters that an absorbed effect passes for.
+    """
+
+    family: Family
+    nodes: tuple[Node, ...]
+    z: float
+    statistic: float
+    theta_shift: Float[np.ndarray, "p"]
+    left: float
+    length: float
+    direction: Float[np.ndarray, "sample"]
+    reason: str = ""
+    imitation: str = ""
+
+    @property
+    def testable(self) -> bool:
+        return bool(self.nodes)
+
+    @property
+    def change(self) -> Mapping[str, float]:
+        """Key -> expected change from null at the best node."""
+        return self.nodes[0].change if self.nodes else {}
+
+    def smallest(self, critical: float) -> float:
+        """The size that these data would have shown with 90 % probability, in the unit of the first column; inf where none."""
+        return (critical + POWER) / self.length if self.testable else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """All families at one optimum, best first.
+
+    - `blocks`: for each node of each family that can be tested its columns, and these projected and normalised (sample, k).
+    """
+
+    scores: tuple[Score, ...]
+    blocks: tuple[tuple[tuple[Column, ...], Float[np.ndarray, "sample k"]], ...]
+
+    def __getitem__(self, family: str) -> Score:
+        return next(score for score in self.scores if score.family.name == family)
+
+    @property
+    def testable(self) -> tuple[Score, ...]:
+        return tuple(score for score in self.scores if score.testable)
+
+    @property
+    def absorbed(self) -> tuple[Score, ...]:
+        return tuple(score for score in self.scores if score.imitation)
+
+    @property
+    def largest(self) -> float:
+        return max((score.statistic for score in self.testable), default=0.0)
+
+
+def rank(best: Optimum, families: Sequence[Family], columns: Mapping[str, Float[np.ndarray, "rows"]]) -> Ranking:
+    """Every family's score at an optimum.
+
+    **Arguments:** `columns`: key -> (rows,) in the units of the rows per unit of the effect, as the subject gives them.
+    """
+    work = _Work.of(best, [column for family in families for column in family.columns], columns)
+    scores = tuple(sorted((work.score(family) for family in families), key=lambda score: (not score.testable, -score.statistic)))
+    return Ranking(scores, tuple((node.columns, work.block(node.columns)) for score in scores for node in score.nodes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """Columns by key: whitened, and what Q leaves of them."""
+
+    best: Optimum
+    residual: Float[np.ndarray, "sample"]
+    whole: Mapping[str, Float[np.ndarray, "sample"]]
+    rest: Mapping[str, Float[np.ndarray, "sample"]]
+
+    @classmethod
+    def of(cls, best: Optimum, wanted: Sequence[Column], columns: Mapping[str, np.ndarray]) -> _Work:
+        keys = [column.key for column in wanted]
+        stacked = np.array([columns[key] for key in keys], dtype=float).reshape(len(keys), -1).T
+        stacked = (
+            np.where(np.isfinite(stacked).all(axis=0), stacked, 0.0).reshape(-1, len(keys))
+            if keys
+            else np.zeros((len(best.at.prediction), 0))
+        )
+        whole = best.sample.columns(stacked)
+        rest = best.projection(whole)
+        return cls(best, best.projection(best.residual), dict(zip(keys, whole.T, strict=True)), dict(zip(keys, rest.T, strict=True)))
+
+    def felt(self, column: Column) -> bool:
+        return float(np.linalg.norm(self.whole[column.key])) * column.scale > FELT
+
+    def left(self, column: Column) -> float:
+        whole = float(np.linalg.norm(self.whole[column.key]))
+        return float(np.linalg.norm(self.rest[column.key])) / whole if whole > 0 else 0.0
+
+    def block(self, columns: Sequence[Column]) -> Float[np.ndarray, "sample k"]:
+        rest = np.stack([self.rest[column.key] for column in columns], axis=1)
+        return rest / np.linalg.norm(rest, axis=0)
+
+    def node(self, columns: tuple[Column, ...]) -> Node:
+        block = self.block(columns)
+        lengths = np.array([np.linalg.norm(self.rest[column.key]) for column in columns])
+        sizes = np.linalg.lstsq(block, self.residual, rcond=1e-9)[0] / lengths
+        change = {column.key: float(size) for column, size in zip(columns, sizes, strict=True)}
+        return Node(columns, float(statistics(block, columns, self.residual[:, None])[0]), change)
+
+    def score(self, family: Family) -> Score:
+        seen = [tuple(one for one in variant if self.felt(one) and self.left(one) >= LEFT) for variant in family.variants]
+        nodes = tuple(sorted((self.node(columns) for columns in seen if columns), key=lambda node: -node.statistic))
+        return self._tested(family, nodes) if nodes else self._untestable(family)
+
+    def _tested(self, family: Family, nodes: tuple[Node, ...]) -> Score:
+        best = nodes[0]
+        first = best.columns[0]
+        z = float(self.block(best.columns)[:, 0] @ self.residual) if len(best.columns) == 1 else best.statistic
+        moved = sum((self.whole[key] * size for key, size in best.change.items()), np.zeros_like(self.residual))
+        direction = self.best.projection(moved)
+        length = float(np.linalg.norm(self.rest[first.key]))
+        return Score(
+            family, nodes, z, best.statistic, self._shift(moved), self.left(first), length,
+            direction / max(float(np.linalg.norm(direction)), 1e-300),
+        )  # fmt: skip
+
+    def _shift(self, moved: np.ndarray) -> np.ndarray:
+        return -(self.best.projection.inverse @ moved)[: len(self.best.raw)]
+
+    def _untestable(self, family: Family) -> Score:
+        felt = next((one for one in family.columns if self.felt(one)), None)
+        nothing = np.zeros_like(self.residual)
+        if felt is None:
+            reason = "a plausible size of it does not move these data"
+            return Score(family, (), 0.0, 0.0, np.zeros(len(self.best.raw)), 0.0, 0.0, nothing, reason)
+        shift = self._shift(self.whole[felt.key] * felt.scale)
+        reason = "absorbed by the base parameters: these data cannot tell it from a change of them"
+        likeness = imitation(self.best.sample.subject.parameters, -shift, felt)
+        return Score(family, (), 0.0, 0.0, shift, self.left(felt), 0.0, nothing, reason, likeness)
+
+
+def statistics(
+    block: Float[np.ndarray, "sample k"], columns: Sequence[Column], residuals: Float[np.ndarray, "sample draws"]
+) -> Float[np.ndarray, "draws"]:
+    """The statistic of one variant for many residuals: |z|, z on its own side, or the lowered root of a block's."""
+    scores = block.T @ residuals
+    if len(columns) == 1:
+        sign = columns[0].sign
+        return np.maximum(sign * scores[0], 0.0) if sign else np.abs(scores[0])
+    values, vectors = np.linalg.eigh(block.T @ block)
+    kept = values > 1e-9 * values[-1]
+    squares = np.sum((vectors[:, kept].T @ scores) ** 2 / values[kept][:, None], axis=0)
+    by_chance = stats.chi2.ppf(_QUANTILE, int(kept.sum())) - stats.chi2.ppf(_QUANTILE, 1)
+    return np.sqrt(np.maximum(squares - by_chance, 0.0))
+
+
+def imitation(parameters: tuple[Parameter, ...], shift: Float[np.ndarray, "p"], column: Column) -> str:
+    """In words, the change of base parameters that a plausible size of an effect passes for."""
+    if not np.any(shift):
+        return "no base parameter"
+    signs = np.where(np.abs(shift) > 0.05 * np.max(np.abs(shift)), shift, 0.0)
+    moved = ", ".join(
+        f"{parameter.name} {math.expm1(size):+.1%}" if parameter.link == "log" else f"{parameter.name} {size:+.3g} ({parameter.link})"
+        for parameter, size in zip(parameters, signs, strict=True)
+        if size != 0
+    )
+    return f"{combination(parameters, signs)}: {column.scale:g} {column.unit} of it passes for {moved}"

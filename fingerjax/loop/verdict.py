@@ -1,0 +1,163 @@
+"""What may be said at the end, of nine kinds, and in one or two sentences that a biomechanician can use."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from .adequacy import Look
+from .explanations import Explanation, main
+from .meshguard import MeshGuard
+from .noise import Noise
+from .score import Score
+
+ADEQUATE, ATTRIBUTED, AMBIGUOUS, MAINLY = "adequate", "attributed", "ambiguous", "mainly"
+TWO, UNEXPLAINED, NOT_TESTABLE, MESH_LIMITED, NOISE_UNKNOWN = "two effects", "unexplained", "not testable", "mesh-limited", "noise unknown"
+KINDS = (ADEQUATE, ATTRIBUTED, AMBIGUOUS, MAINLY, TWO, UNEXPLAINED, NOT_TESTABLE, MESH_LIMITED, NOISE_UNKNOWN)
+FEWEST = 3.0  # settings more than parameters, below which nothing can be tested
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The end of a diagnosis.
+
+    - `kind`: one of `KINDS`. `members`: the explanations that remain, best first; none where nothing is named.
+    - `share`: of the excess misfit that the first of them removes; `remainder_p`: least p value of what is left.
+    - `absorbed`: effects that these data could not show.
+    """
+
+    kind: str
+    members: tuple[Explanation, ...]
+    share: float
+    remainder_p: float
+    absorbed: tuple[Score, ...]
+    text: str
+
+    @property
+    def names(self) -> list[str]:
+        """Every family named, once."""
+        return list(dict.fromkeys(name for member in self.members for name in member.families))
+
+
+def asks_for_effects(noise: Noise, base: Look) -> bool:
+    """Whether effects are refitted at all: the base is an optimum, its misfit is real, and the noise is known."""
+    return _cannot(noise, base) is None and base.adequacy.rejected
+
+
+def decide(
+    noise: Noise, mesh: MeshGuard, base: Look, singles: list[Explanation], pairs: list[Explanation], absorbed: tuple[Score, ...]
+) -> Verdict:
+    """The verdict. `singles` and `pairs` are best first; empty where the base was not rejected."""
+    kind, members = _judge(noise, mesh, base, singles, pairs)
+    last = members[0].look.adequacy if members else base.adequacy
+    share = members[0].eta if members else 0.0
+    text = " ".join(part for part in (_text(kind, members, noise, mesh, base, singles), _said_of(absorbed, kind)) if part)
+    return Verdict(kind, members, share, min(last.omnibus_p, last.smooth_p, last.largest_p), absorbed, text)
+
+
+def _judge(
+    noise: Noise, mesh: MeshGuard, base: Look, singles: list[Explanation], pairs: list[Explanation]
+) -> tuple[str, tuple[Explanation, ...]]:
+    cannot = _cannot(noise, base)
+    if cannot is not None:
+        return cannot, ()
+    if not base.adequacy.rejected:
+        if not mesh.passed:
+            return MESH_LIMITED, ()
+        return (ADEQUATE if noise.repeated else NOISE_UNKNOWN), ()
+    members = tuple(one for one in singles if one.in_set)
+    if members:
+        return (ATTRIBUTED if len(members) == 1 else AMBIGUOUS), members
+    mainly, both = main(singles), tuple(one for one in pairs if one.in_set)
+    if mainly is not None:
+        return MAINLY, (mainly,)
+    if both:
+        return (TWO if len(both) == 1 else AMBIGUOUS), both
+    if not mesh.passed and not any(one.significant for one in singles):
+        return MESH_LIMITED, ()
+    return UNEXPLAINED, ()
+
+
+def _cannot(noise: Noise, base: Look) -> str | None:
+    """The verdict where nothing can be tested; None where it can."""
+    if not base.best.settled or base.adequacy.df < FEWEST:
+        return NOT_TESTABLE
+    if not noise.known:
+        return NOISE_UNKNOWN
+    return None
+
+
+def _text(
+    kind: str, members: tuple[Explanation, ...], noise: Noise, mesh: MeshGuard, base: Look, singles: list[Explanation]
+) -> str:  # fmt: skip
+    if kind == NOT_TESTABLE:
+        return _untested(base)
+    if kind == NOISE_UNKNOWN:
+        found = "" if not noise.known else "At the stated noise no effect is missed. "
+        return found + noise.allows()
+    if kind == ADEQUATE:
+        return "The model fits these data to within their noise: no effect that they could show is missing."
+    if kind == MESH_LIMITED:
+        return (
+            "The mesh limits what can be said: what may be left of its error could look like a missing effect "
+            f"(excess misfit {mesh.excess:.2g}, largest shift of a parameter {_largest(mesh):.2g} standard errors). "
+            "Nothing is named; refine the mesh."
+        )
+    if kind == UNEXPLAINED:
+        return _unexplained(base, singles)
+    return _named(kind, members)
+
+
+def _untested(base: Look) -> str:
+    if not base.best.settled:
+        return f"The fit of the model did not settle ({base.best.reason or 'no optimum'}): nothing was tested and nothing is named."
+    return (
+        f"There are too few data: {base.adequacy.df:.0f} measured settings more than parameters. Nothing was tested and nothing is named."
+    )
+
+
+def _unexplained(base: Look, singles: list[Explanation]) -> str:
+    excess = base.adequacy.misfit / max(base.adequacy.df, 1.0)
+    nearest = next((one for one in singles if one.best.settled), None)
+    why = f" The nearest, {nearest.name}, {nearest.reason}." if nearest is not None and nearest.reason else ""
+    return (
+        f"The model misses something (misfit {excess:.1f} times the noise) that no effect of the catalogue explains.{why} "
+        "The fitted values hold only for this model, which these data contradict."
+    )
+
+
+def _named(kind: str, members: tuple[Explanation, ...]) -> str:
+    first = members[0]
+    sized = f"{first.name} ({sizes(first)})"
+    removes = f"removes {min(first.eta, 1.0):.0%} of the misfit beyond the noise"
+    if kind == ATTRIBUTED:
+        return f"The model lacks {sized}: with it alone nothing is left to be explained, and it {removes}."
+    if kind == MAINLY:
+        return (
+            f"The model lacks mainly {sized}: it {removes} and leads every other effect by far, but a remainder is left that has no name."
+        )
+    if kind == TWO:
+        return f"The model lacks two effects, {sized}: neither is enough without the other, and together nothing is left to be explained."
+    listed = "; ".join(f"{one.name} ({sizes(one)})" for one in members)
+    return f"These data are explained by each of {len(members)}: {listed}. They cannot tell them apart; the next experiment would."
+
+
+def sizes(one: Explanation) -> str:
+    """`share = 0.21 at tau_s = 1`, for every effect that is awake."""
+    said = []
+    for column in one.best.columns:
+        grid = "".join(f" at {name} = {value:g}" for name, value in column.fixed.items())
+        unit = "" if column.unit in ("", "1") else f" {column.unit}"
+        said.append(f"{column.name} = {one.best.phi[column.key]:.3g}{unit}{grid}")
+    return ", ".join(said)
+
+
+def _said_of(absorbed: tuple[Score, ...], kind: str) -> str:
+    if not absorbed or kind in (NOT_TESTABLE, NOISE_UNKNOWN):
+        return ""
+    listed = "; ".join(f"{score.family.name} would pass for {score.imitation}" for score in absorbed)
+    return f"These data cannot show everything, so the fitted values are right only if it is absent: {listed}."
+
+
+def _largest(mesh: MeshGuard) -> float:
+    return max((abs(float(shift)) for shift in mesh.shift), default=math.nan)
