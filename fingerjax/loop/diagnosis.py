@@ -10,54 +10,28 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from ..errors import InputError
 from ..spelling import choose_from
-from . import heldout, records
+from . import heldout
 from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
 from .explanations import Explanation, Inquiry
+from .findings import Findings
 from .meshguard import RHO, MeshGuard, correction, guard, leftover, unchecked
 from .noise import Noise, estimate, outliers
-from .record import Diagnosis, NextExperiment, Planted
+from .record import Diagnosis, Planted
 from .refit import Keep, Optimum, forget, optimum
 from .sample import Sample
 from .separate import Rival, next_experiments
 from .subject import NONE, AbstractSubject, Family
 from .verdict import Verdict, asks_for_effects, decide
+from .writing import written
 
 Tell = Callable[[float, str], object]
-
-
-@dataclass(frozen=True, eq=False)
-class Findings:
-    """Everything that was found, before it is written down.
-
-    - `columns`: key -> (rows,) of the subject at the base fit. `last`: what the model says in the end: the base where nothing is named.
-    """
-
-    subject: AbstractSubject
-    families: tuple[Family, ...]
-    roles: Mapping[str, str]
-    noise: Noise
-    mesh: MeshGuard
-    base: Look
-    columns: Mapping[str, Float[np.ndarray, "rows"]]
-    explanations: list[Explanation]
-    verdict: Verdict
-    next: list[NextExperiment]
-    alarms: FalseAlarms
-    planted: list[Planted]
-    seed: int
-    seconds: float
-
-    @property
-    def last(self) -> Look:
-        return self.verdict.members[0].look if self.verdict.members else self.base
 
 
 def diagnose(
@@ -81,7 +55,7 @@ def diagnose(
 
     **Raises** `InputError` where an effect is asked for that the subject does not have.
     """
-    return records.written(investigate(subject, seed=seed, effects=effects, alpha=alpha, sets=sets, tell=tell, kept=kept))
+    return written(investigate(subject, seed=seed, effects=effects, alpha=alpha, sets=sets, tell=tell, kept=kept))
 
 
 def investigate(

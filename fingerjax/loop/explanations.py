@@ -24,7 +24,7 @@ from . import heldout
 from .adequacy import Look, look
 from .meshguard import correction
 from .refit import Keep, Optimum, forget, optimum
-from .score import Node, rank
+from .score import Node, combined
 from .subject import Column, Family
 
 FAMILIES, NODES = 7, 2  # refitted, best first
@@ -164,16 +164,13 @@ class Inquiry:
     def _second(self, first: Explanation) -> Explanation | None:
         """With a second term of the same family, where the first is sound but not enough and the second explains more than chance."""
         family = next(one for one in self.families if one.name == first.families[0])
-        awake = first.best.columns
-        more = tuple(column for column in family.second if column.fixed not in [one.fixed for one in awake if one.fixed])
-        if not (more and first.significant and first.look.adequacy.rejected):
+        if not (family.second and first.significant and first.look.adequacy.rejected):
             return None
-        columns = self.base.best.sample.subject.columns(first.best.raw, first.best.phi)
-        score = rank(first.best, [Family(family.name, more)], columns).scores[0]
-        fits = [self._added(first, node) for node in score.nodes[:NODES]]
-        if not fits:
+        base = self.base.best
+        nodes = combined(base, family.columns, family.second, base.sample.subject.columns(base.raw))[: NODES + 1]
+        if not nodes:
             return None
-        both = self._explained(first.families, min(fits, key=_misfit), {family.name: self.base.best.rss})
+        both = self._explained(first.families, min((self._fitted(node) for node in nodes), key=_misfit), {family.name: base.rss})
         return both if both.best.settled and first.best.rss - both.best.rss > self.needed else None
 
     def _added(self, first: Explanation, node: Node) -> Optimum:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from ..parameters import Parameter
 from .adequacy import Adequacy
 from .meshguard import MeshGuard
 from .record import EffectRecord, ParameterRecord
@@ -50,8 +51,8 @@ def parameters(best: Optimum, tests: Adequacy, mesh: MeshGuard, nu: float) -> di
     return found
 
 
-def _natural(parameter: object, raw: float) -> float:
-    return float(parameter.natural(raw)) if math.isfinite(raw) else math.nan  # type: ignore[attr-defined]
+def _natural(parameter: Parameter, raw: float) -> float:
+    return float(parameter.natural(raw)) if math.isfinite(raw) else math.nan
 
 
 def hull(fits: Sequence[dict[str, ParameterRecord]]) -> dict[str, ParameterRecord]:

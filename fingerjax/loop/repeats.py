@@ -18,6 +18,7 @@ from scipy import optimize, stats
 TURN = 2.5  # standard deviations from which on a row counts less
 ROUNDS = 6  # of weights, traces and sizes in turn
 SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be told from noise
+FLAT = 0.1  # of a trace: smaller over larger singular value of (gain, zero), where its values differ by less than a fifth
 CLEARLY = 10.0  # fall of the deviance at which a noise that grows with the value is believed where none is expected
 # Share of the normal variance that is left when everything is cut at TURN.
 _KEPT = float(2 * (stats.norm.cdf(TURN) - 0.5 - TURN * stats.norm.pdf(TURN)) + 2 * TURN**2 * stats.norm.sf(TURN))
@@ -61,20 +62,26 @@ def from_repeats(
         return None
     _, traces = np.unique(np.stack([condition, trial]), axis=1, return_inverse=True)
     traces = traces.reshape(-1)
-    weights, common = np.ones(len(measured)), np.zeros(len(measured))
-    centre = np.array([np.median(measured[setting == one]) for one in range(setting.max() + 1)])[setting]
+    block = _Block(measured, setting, condition, trial, traces, count, power, expected)
+    split = block.first()
     for _ in range(ROUNDS):
-        coefficients = _traces(measured - centre, centre, traces, weights, count)
-        common = _spread(coefficients, centre, traces)
-        left = measured - centre - common
-        dof = float(np.sum(1.0 - 1.0 / count)) - _spent(coefficients, condition, traces)
-        sigma = _law(left, centre, weights, count, dof, power, expected)
-        expected_size = sigma * math.sqrt(max(dof, 1.0) / max(int((count > 1).sum()), 1))
-        weights = np.minimum(1.0, TURN * expected_size / np.maximum(np.abs(left), 1e-300))
-        centre = (np.bincount(setting, weights * (measured - common)) / np.bincount(setting, weights))[setting]
-    shared, own = _levels(coefficients, centre, traces, condition, trial, sigma, weights, count)
-    near = _neighbours(np.where(count > 1, left / sigma, 0.0), traces, along, len(coefficients))
-    return Repeats(sigma, weights, centre, shared, own, near, dof)
+        split = block.again(split)
+    shared, own = block.levels(split)
+    near = _neighbours(np.where(count > 1, split.left / split.sigma, 0.0), traces, along, len(split.pairs))
+    return Repeats(split.sigma, split.weights, split.centre, shared, own, near, split.dof)
+
+
+@dataclass(frozen=True, eq=False)
+class _Split:
+    """The rows taken apart: centre, what their trace adds (`pairs`: trace -> gain, zero; `common`), and what is left."""
+
+    centre: np.ndarray
+    common: np.ndarray
+    left: np.ndarray
+    pairs: dict[int, np.ndarray]
+    sigma: np.ndarray
+    weights: np.ndarray
+    dof: float
 
 
 def _basis(centre: np.ndarray) -> np.ndarray:
@@ -82,33 +89,94 @@ def _basis(centre: np.ndarray) -> np.ndarray:
     return np.stack([centre, np.ones_like(centre)], axis=1)
 
 
-def _traces(deviation: np.ndarray, centre: np.ndarray, traces: np.ndarray, weights: np.ndarray, count: np.ndarray) -> dict[int, np.ndarray]:
-    """Trace -> (gain, zero) by weighted least squares; the smallest where they cannot be told apart."""
-    found = {}
-    for one in range(traces.max() + 1):
-        rows = np.flatnonzero((traces == one) & (count > 1))
-        if len(rows) >= SHORTEST:
-            root = np.sqrt(weights[rows])
-            basis = _basis(centre[rows])
-            scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
-            found[one] = np.linalg.lstsq(root[:, None] * basis / scale, root * deviation[rows], rcond=1e-6)[0] / scale
-    return found
+def _inverse(centre: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, int]:
+    """((2, rows), rank): from deviations to (gain, zero) by weighted least squares. Of a trace that is nearly flat, where a gain and a
+    zero are the same, the smallest pair that does.
+    """
+    basis, root = _basis(centre), np.sqrt(weights)
+    scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+    left, singular, right = np.linalg.svd(root[:, None] * basis / scale, full_matrices=False)
+    kept = singular > FLAT * singular[0]
+    return (right[kept].T / singular[kept] / scale[:, None]) @ left[:, kept].T * root, int(kept.sum())
 
 
-def _spread(coefficients: dict[int, np.ndarray], centre: np.ndarray, traces: np.ndarray) -> np.ndarray:
-    common = np.zeros(len(centre))
-    for one, pair in coefficients.items():
-        common[traces == one] = _basis(centre[traces == one]) @ pair
-    return common
+@dataclass(frozen=True, eq=False)
+class _Block:
+    measured: np.ndarray
+    setting: np.ndarray
+    condition: np.ndarray
+    trial: np.ndarray
+    traces: np.ndarray
+    count: np.ndarray  # repeats of each row's setting
+    power: float
+    expected: bool
 
+    def first(self) -> _Split:
+        """About the medians of the settings, all rows equal."""
+        medians = np.array([np.median(self.measured[self.setting == one]) for one in range(self.setting.max() + 1)])
+        return self._split(medians[self.setting], np.ones(len(self.measured)))
 
-def _spent(coefficients: dict[int, np.ndarray], condition: np.ndarray, traces: np.ndarray) -> float:
-    """Degrees of freedom that the traces took: two of each, less those that the means of the settings had taken already."""
-    spent = 0.0
-    for one in np.unique(condition):
-        inside = len(set(traces[condition == one].tolist()) & set(coefficients))
-        spent += 2.0 * max(inside - 1, 0)
-    return spent
+    def again(self, before: _Split) -> _Split:
+        """About means in which rows that stand out count less."""
+        size = before.sigma * math.sqrt(max(before.dof, 1.0) / max(int((self.count > 1).sum()), 1))
+        weights = np.minimum(1.0, TURN * size / np.maximum(np.abs(before.left), 1e-300))
+        sums = np.bincount(self.setting, weights * (self.measured - before.common))
+        return self._split((sums / np.bincount(self.setting, weights))[self.setting], weights)
+
+    def _split(self, centre: np.ndarray, weights: np.ndarray) -> _Split:
+        pairs = self._pairs(self.measured - centre, centre, weights)
+        common = np.zeros(len(centre))
+        for one, pair in pairs.items():
+            common[self.traces == one] = _basis(centre[self.traces == one]) @ pair
+        left = self.measured - centre - common
+        dof = float(np.sum(1.0 - 1.0 / self.count)) - self._spent(pairs, centre)
+        sigma = _law(left, centre, weights, self.count, dof, self.power, self.expected)
+        return _Split(centre, common, left, pairs, sigma, weights, dof)
+
+    def _pairs(self, deviation: np.ndarray, centre: np.ndarray, weights: np.ndarray) -> dict[int, np.ndarray]:
+        """Trace -> (gain, zero) by weighted least squares; the smallest where they cannot be told apart."""
+        found = {}
+        for one in range(self.traces.max() + 1):
+            rows = np.flatnonzero((self.traces == one) & (self.count > 1))
+            if len(rows) >= SHORTEST:
+                found[one] = _inverse(centre[rows], weights[rows])[0] @ deviation[rows]
+        return found
+
+    def _spent(self, pairs: dict[int, np.ndarray], centre: np.ndarray) -> float:
+        """Degrees of freedom that the traces took, less those that the means of the settings had taken already."""
+        spent = 0.0
+        for one in np.unique(self.condition):
+            ranks = [self._rank(trace, centre) for trace in set(self.traces[self.condition == one].tolist()) & set(pairs)]
+            spent += sum(ranks) * (1.0 - 1.0 / max(len(ranks), 1))
+        return spent
+
+    def _rank(self, trace: int, centre: np.ndarray) -> int:
+        rows = (self.traces == trace) & (self.count > 1)
+        return _inverse(centre[rows], np.ones(int(rows.sum())))[1]
+
+    def levels(self, split: _Split) -> tuple[np.ndarray, np.ndarray]:
+        """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest.
+
+        Each is widened as Student's interval is, because few trials tell their own variance badly.
+        """
+        if not split.pairs:
+            return np.zeros((2, 2)), np.zeros((2, 2))
+        where = {one: (self.condition[self.traces == one][0], self.trial[self.traces == one][0]) for one in split.pairs}
+        metric, noise, whole = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+        for one, pair in split.pairs.items():
+            rows = (self.traces == one) & (self.count > 1)
+            variance = split.sigma[rows] ** 2 / split.weights[rows]
+            basis, inverse = _basis(split.centre[rows]), _inverse(split.centre[rows], split.weights[rows])[0]
+            repeats = float(np.mean(self.count[rows]))
+            metric += basis.T @ (basis / variance[:, None]) / len(where)
+            noise += (inverse * variance) @ inverse.T / len(where)
+            whole += np.outer(pair, pair) * repeats / (repeats - 1.0) / len(where)
+        shared, trials = _between(split.pairs, where, self.count, self.traces)
+        root = np.linalg.cholesky(metric + 1e-12 * np.diag(np.diag(metric)) + 1e-300 * np.eye(2))
+        shared = _positive(shared, root)
+        own = _positive(whole - noise - shared, root)
+        conditions = len({one[0] for one in where.values()})
+        return shared * _widening(trials - 1), own * _widening(len(where) - conditions)
 
 
 def _law(
@@ -119,7 +187,7 @@ def _law(
     square = (weights[use] * left[use]) ** 2 / _KEPT * (use.sum() / max(dof, 1.0))
     flat = float(np.mean(square))
     grown = np.abs(centre) ** power
-    share = np.stack([np.ones(use.sum()), grown[use] / max(float(np.mean(grown[use])), 1e-300)], axis=1)
+    share = np.stack([np.ones(int(use.sum())), grown[use] / max(float(np.mean(grown[use])), 1e-300)], axis=1)
     law = np.array([flat, 0.0])
     for _ in range(4):
         size = np.maximum(share @ law, 1e-3 * flat) + 1e-300
@@ -132,53 +200,20 @@ def _law(
     return np.sqrt(np.maximum(everywhere, 1e-2 * flat) + 1e-300)
 
 
-def _levels(
-    coefficients: dict[int, np.ndarray],
-    centre: np.ndarray,
-    traces: np.ndarray,
-    condition: np.ndarray,
-    trial: np.ndarray,
-    sigma: np.ndarray,
-    weights: np.ndarray,
-    count: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest.
-
-    Each is widened as Student's interval is, because few trials tell their own variance badly.
-    """
-    if not coefficients:
-        return np.zeros((2, 2)), np.zeros((2, 2))
-    where = {one: (condition[traces == one][0], trial[traces == one][0]) for one in coefficients}
-    metric, noise, whole = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
-    for one, pair in coefficients.items():
-        rows = (traces == one) & (count > 1)
-        basis = _basis(centre[rows]) * (np.sqrt(weights[rows]) / sigma[rows])[:, None]
-        repeats = float(np.mean(count[rows]))
-        metric += basis.T @ basis / len(coefficients)
-        noise += np.linalg.pinv(basis.T @ basis, rcond=1e-10, hermitian=True) / len(coefficients)
-        whole += np.outer(pair, pair) * repeats / (repeats - 1.0) / len(coefficients)
-    shared, trials = _between(coefficients, where, count, traces)
-    root = np.linalg.cholesky(metric + 1e-12 * np.diag(np.diag(metric)) + 1e-300 * np.eye(2))
-    shared = _positive(shared, root)
-    conditions = len({one[0] for one in where.values()})
-    own = _positive(whole - noise - shared, root)
-    return shared * _widening(trials - 1), own * _widening(len(coefficients) - conditions)
-
-
 def _between(
-    coefficients: dict[int, np.ndarray], where: dict[int, tuple[int, int]], count: np.ndarray, traces: np.ndarray
+    pairs: dict[int, np.ndarray], where: dict[int, tuple[int, int]], count: np.ndarray, traces: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Mean product of the traces of one trial in two conditions, and the number of trials that have two."""
-    total, pairs, trials = np.zeros((2, 2)), 0, set()
+    total, met, trials = np.zeros((2, 2)), 0, set()
     for one, (condition, trial) in where.items():
         for other, (elsewhere, again) in where.items():
             if again == trial and elsewhere != condition:
                 repeats = float(np.mean(count[traces == one]))
-                product = np.outer(coefficients[one], coefficients[other])
+                product = np.outer(pairs[one], pairs[other])
                 total += 0.5 * (product + product.T) * repeats / (repeats - 1.0)
-                pairs += 1
+                met += 1
                 trials.add(trial)
-    return (total / pairs if pairs else total), len(trials)
+    return (total / met if met else total), len(trials)
 
 
 def _positive(matrix: np.ndarray, root: np.ndarray) -> np.ndarray:

@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from ..identify.uncertainty import combination
 from ..parameters import Parameter
 from .refit import Optimum
 from .subject import Column, Family
@@ -200,12 +199,25 @@ def statistics(
 
 def imitation(parameters: tuple[Parameter, ...], shift: Float[np.ndarray, "p"], column: Column) -> str:
     """In words, the change of base parameters that a plausible size of an effect passes for."""
-    if not np.any(shift):
-        return "no base parameter"
-    signs = np.where(np.abs(shift) > 0.05 * np.max(np.abs(shift)), shift, 0.0)
+    largest = float(np.max(np.abs(shift), initial=0.0))
+    pairs = [(one, size) for one, size in zip(parameters, shift, strict=True) if abs(size) > 0.05 * largest]
     moved = ", ".join(
-        f"{parameter.name} {math.expm1(size):+.1%}" if parameter.link == "log" else f"{parameter.name} {size:+.3g} ({parameter.link})"
-        for parameter, size in zip(parameters, signs, strict=True)
-        if size != 0
+        f"{one.name} {math.expm1(size):+.1%}" if one.link == "log" else f"{one.name} {float(one.slope(one.raw())) * size:+.3g} {one.unit}"
+        for one, size in sorted(pairs, key=lambda pair: -abs(pair[1]))
     )
-    return f"{combination(parameters, signs)}: {column.scale:g} {column.unit} of it passes for {moved}"
+    unit = "" if column.unit == "1" else f" {column.unit}"
+    return f"{column.null + column.scale:g}{unit} of it would pass for {moved}"
+
+
+def combined(
+    best: Optimum, first: Sequence[Column], second: Sequence[Column], columns: Mapping[str, Float[np.ndarray, "rows"]]
+) -> tuple[Node, ...]:
+    """Two terms of one effect at once, each at its own node of the grid: all pairs, best first, that the signs allow before others."""
+    work = _Work.of(best, [*first, *second], columns)
+    pairs = [(one, other) for one in first for other in second if one.fixed != other.fixed or not one.fixed]
+    nodes = [work.node(pair) for pair in pairs if all(work.felt(one) and work.left(one) >= LEFT for one in pair)]
+    return tuple(sorted(nodes, key=lambda node: (not _possible(node), -node.statistic)))
+
+
+def _possible(node: Node) -> bool:
+    return all(column.sign * node.change[column.key] >= 0 for column in node.columns)

@@ -73,14 +73,17 @@ def next_experiments(best: Optimum, rivals: Sequence[Rival], columns: Mapping[st
     found = []
     for proposal in (*best.sample.subject.proposals(best.raw), *repeated(best, columns)):
         added = _added(proposal, rivals)
-        for repeats in REPEATS:
-            after = distances(now + repeats * added, rivals)
-            if min(after.values()) >= APART:
-                break
+        repeats, after = _enough(now, added, rivals)
         tells = float(np.linalg.slogdet(_scaled(now + added)[: len(best.raw), : len(best.raw)])[1])
         record = NextExperiment(proposal.condition, repeats, min(before.values()), min(after.values()), after)
         found.append((record.d2_after < APART, repeats, -round(record.d2_after, 6), -tells, record))
     return [entry[-1] for entry in sorted(found, key=lambda entry: entry[:-1])[:BEST]]
+
+
+def _enough(now: np.ndarray, added: np.ndarray, rivals: Sequence[Rival]) -> tuple[int, dict[str, float]]:
+    """The fewest repeats that tell every pair apart, or the most that are tried, and the distances then."""
+    tried = [(repeats, distances(now + repeats * added, rivals)) for repeats in REPEATS]
+    return next((one for one in tried if min(one[1].values()) >= APART), tried[-1])
 
 
 def distances(gram: Float[np.ndarray, "q q"], rivals: Sequence[Rival]) -> dict[str, float]:

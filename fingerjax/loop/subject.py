@@ -62,8 +62,8 @@ class Column:
             seen = (self.lower, self.null, self.upper)
             raise InputError(f"{self.key}: the null value is not inside the bounds", seen=seen, remedy="widen the bounds")
         if (self.sign > 0 and self.lower < self.null) or (self.sign < 0 and self.upper > self.null):
-            seen = (self.lower, self.upper)
-            raise InputError(f"{self.key}: the bounds allow the wrong sign", seen=seen, remedy="end them at the null value")
+            ends = (self.lower, self.upper)
+            raise InputError(f"{self.key}: the bounds allow the wrong sign", seen=ends, remedy="end them at the null value")
 
     @property
     def key(self) -> str:

@@ -155,8 +155,8 @@ def sizes(one: Explanation) -> str:
 def _said_of(absorbed: tuple[Score, ...], kind: str) -> str:
     if not absorbed or kind in (NOT_TESTABLE, NOISE_UNKNOWN):
         return ""
-    listed = "; ".join(f"{score.family.name} would pass for {score.imitation}" for score in absorbed)
-    return f"These data cannot show everything, so the fitted values are right only if it is absent: {listed}."
+    listed = "; ".join(f"{score.family.name}, of which {score.imitation}" for score in absorbed)
+    return f"The fitted values are right only without what these data cannot show: {listed}."
 
 
 def _largest(mesh: MeshGuard) -> float:

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,14 +13,12 @@ from jaxtyping import Bool, Float
 from . import heldout, intervals, record, separate, unexplained
 from .adequacy import Adequacy
 from .explanations import Explanation
+from .findings import Findings
 from .noise import ASSUMED
 from .refit import Optimum
 from .score import Score
 from .subject import ROLES
 from .verdict import ADEQUATE, AMBIGUOUS, ATTRIBUTED
-
-if TYPE_CHECKING:
-    from .diagnosis import Findings
 
 
 def written(found: Findings) -> record.Diagnosis:
