@@ -72,18 +72,16 @@ def test_every_effect_says_what_it_is() -> None:
             assert size.lower <= size.null <= size.upper and size.scale > 0 and size.unit
 
 
-@pytest.mark.parametrize("effect", COMPILED, ids=lambda effect: effect.name)
-def test_a_compiled_effect_changes_nothing_at_its_null(effect: Effect, ready: Assembled) -> None:
+def test_compiled_effects_change_nothing_at_their_nulls(ready: Assembled) -> None:
     without = ready.predict()
-    added = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=Effects((effect,)))
-    with_it = added.predict({f"{effect.name}.{name}": value for name, value in effect.null().items()})
-    for one, other in zip(without.readings, with_it.readings, strict=True):
+    added = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=Effects(tuple(COMPILED)))
+    with_them = added.predict({f"{effect.name}.{name}": value for effect in COMPILED for name, value in effect.null().items()})
+    for one, other in zip(without.readings, with_them.readings, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("effect", MADE, ids=lambda effect: effect.name)
-def test_an_effect_on_the_model_changes_nothing_at_its_null(effect: Effect, ready: Assembled) -> None:
-    np.testing.assert_array_equal(read(ready, (effect, effect.null())), read(ready))
+def test_effects_on_the_model_change_nothing_at_their_nulls(ready: Assembled) -> None:
+    np.testing.assert_array_equal(read(ready, *((effect, effect.null()) for effect in MADE)), read(ready))
 
 
 def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubject) -> None:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..fem.body import Body, Material
+from ..fem.tissue import AbstractTissue
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from .effect import Amount, Effect
 from .records import Felt, Placed, Push, Reading
-
-if TYPE_CHECKING:
-    from ..fem.body import Body, Material
-    from ..fem.tissue import AbstractTissue
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 
 class Added(eqx.Module):

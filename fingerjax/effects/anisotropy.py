@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import jax.numpy as jnp
 import numpy as np
 
-from ..fem.body import reinforced
+from ..fem.body import Body, reinforced
 from ..fem.springs import Springs
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from .effect import Amount, Effect, Size
-
-if TYPE_CHECKING:
-    from ..fem.body import Body
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 SKIN = (0, 1)
 
@@ -45,4 +40,6 @@ def _along(body: Body, layer: int, fibres: float) -> Springs:
     local = 2 * fibres * np.einsum("eq,eqa,eqb->eab", weight, slope, slope)
     nodes = 3 * np.asarray(body.tets)[chosen] + 2
     row, column = np.repeat(nodes, nodes.shape[1], axis=1).ravel(), np.tile(nodes, nodes.shape[1]).ravel()
-    return Springs(jnp.asarray(row, jnp.int32), jnp.asarray(column, jnp.int32), jnp.asarray(local.ravel()), jnp.full(local.size, layer, jnp.int32))
+    return Springs(
+        jnp.asarray(row, jnp.int32), jnp.asarray(column, jnp.int32), jnp.asarray(local.ravel()), jnp.full(local.size, layer, jnp.int32)
+    )

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from ..layers import BONE
 from .effect import Amount, Effect, Size
-
-if TYPE_CHECKING:
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 SKIN = 2  # dermis and epidermis stay where they are
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..fem.body import Body
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from ..layers import BONE
 from .effect import Amount, Effect, Size
-
-if TYPE_CHECKING:
-    from ..fem.body import Body
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 DERMIS_INNER = 2  # the outer surface of adipose tissue
 

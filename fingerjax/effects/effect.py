@@ -20,15 +20,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
+from ..fem.body import Body, Material
+from ..fem.tissue import AbstractTissue
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from .records import Felt, Measured, Placed, Push, Reading
-
-if TYPE_CHECKING:
-    from ..fem.body import Body, Material
-    from ..fem.tissue import AbstractTissue
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 ACTS_ON = ("finger", "tissue", "support", "contact", "time", "instrument", "afferent")
 Amount = Mapping[str, Any]  # the numbers of one effect, by name

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from .effect import Amount, Effect, Size
 from .morph import Radii, on_rays
-
-if TYPE_CHECKING:
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 LAYER = 0
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from ..layers import BONE
-
-if TYPE_CHECKING:
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 Radii = np.ndarray  # (5, n) mm: the outer radius of every layer on each node's ray
 

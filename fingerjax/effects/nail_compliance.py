@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..fem.body import reinforced
+from ..fem.body import Body, reinforced
 from ..fem.springs import bed, facets, springs
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from .effect import Amount, Effect, Size
-
-if TYPE_CHECKING:
-    from ..fem.body import Body
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 
 class NailCompliance(Effect):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ from ..contact.indenter import AbstractIndenter
 from ..measure.receptor import Receptor
 
 
+@runtime_checkable
 class Measured(Protocol):
     """What effects look at in a measurement to tell whether it could show them."""
 

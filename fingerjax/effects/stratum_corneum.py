@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from ..fem.body import reinforced
+from ..fem.body import Body, reinforced
 from ..fem.springs import facets, film, springs
+from ..finger import Finger
+from ..geometry.sections import LayeredSolid
 from .effect import Amount, Effect, Size
-
-if TYPE_CHECKING:
-    from ..fem.body import Body
-    from ..finger import Finger
-    from ..geometry.sections import LayeredSolid
 
 POISSON_RATIO = 0.4
 
