@@ -73,7 +73,9 @@ class Block:
 
     @property
     def has_after(self) -> bool:
-        return bool(np.isfinite(self.after).any())
+        """Whether the diagnosis ends with a model that predicts something else."""
+        there = np.isfinite(self.after)
+        return bool(there.any() and (self.after[there] != self.before[there]).any())
 
     def where(self, role: str | None = None, condition: str | None = None) -> np.ndarray:
         """(rows,) true for the rows of a role and a condition; None takes all."""

@@ -47,14 +47,24 @@ def _effect(record: Record, one: Mapping[str, Any]) -> Row:
         "acts_on": one.get("acts_on") or "",
         "score": maybe(one.get("z")),
         "chance": maybe(one.get("p_adj")),
-        "size_estimated": maybe(one.get("epc")),
+        "size_estimated": maybe(size_of(one)[0]),
         "smallest_visible": maybe(one.get("mde")),
-        "plausible_size": maybe(one.get("prior_sd")),
+        "plausible_size": maybe(size_of(one)[1]),
         "unit": unit_of(one),
         "trace_left": maybe(one.get("fraction_left")),
         "in_the_set": str(one["family"]) in explanations(record),
         "remark": "" if testable else remedy(one),
     }
+
+
+def size_of(one: Mapping[str, Any]) -> tuple[float, float]:
+    """(estimated size, plausible size) of an effect, of the column in which it is furthest from its null in plausible sizes."""
+    estimated, plausible = one.get("epc"), one.get("prior_sd")
+    if not isinstance(estimated, Mapping) or not isinstance(plausible, Mapping):
+        return number(estimated), number(plausible)
+    pairs = [(number(estimated.get(key)), number(scale)) for key, scale in plausible.items()]
+    known = [pair for pair in pairs if math.isfinite(pair[0]) and pair[1] > 0]
+    return max(known, key=lambda pair: abs(pair[0]) / pair[1], default=(math.nan, number(plausible)))
 
 
 def unit_of(one: Mapping[str, Any]) -> str:
@@ -78,15 +88,10 @@ def refits(record: Record) -> Table:
 
 def _refit(record: Record, one: Mapping[str, Any]) -> Row:
     refit = one["refit"]
-    size = refit.get("phi")
-    ends = refit.get("ci") if isinstance(refit.get("ci"), (list, tuple)) else None
-    pair = ends if ends is not None and len(ends) == 2 and not isinstance(ends[0], (list, tuple)) else (None, None)
     rival = refit.get("best_rival") or {}
     return {
         "effect": spoken(one["family"]),
-        "size": amounts(size) if _several(size) else maybe(value_of(size)),
-        "lower": maybe(pair[0]),
-        "upper": maybe(pair[1]),
+        "size": fitted_sizes(one, refit),
         "unit": unit_of(one),
         "misfit_removed": maybe(refit.get("delta")),
         "explained": maybe(refit.get("eta")),
@@ -96,19 +101,37 @@ def _refit(record: Record, one: Mapping[str, Any]) -> Row:
         "BIC": maybe(refit.get("bic")),
         "log_evidence": maybe(refit.get("log_evidence")),
         "converged": refit.get("converged"),
-        "in_the_set": str(one["family"]) in explanations(record),
+        "in_the_set": bool(refit.get("in_set", str(one["family"]) in explanations(record))),
+        "remark": str(refit.get("reason") or ""),
     }
+
+
+def fitted_sizes(one: Mapping[str, Any], refit: Mapping[str, Any]) -> str:
+    """The numbers of an effect as fitted, each with its 95 % interval: `0.12 (0.08 to 0.16)`."""
+    sizes, ends = _by_name(one, refit.get("phi")), _by_name(one, refit.get("ci"))
+    return ", ".join(_with_ends(name if len(sizes) > 1 else "", value, ends.get(name)) for name, value in sizes.items())
+
+
+def _by_name(one: Mapping[str, Any], said: Any) -> dict[str, Any]:
+    if said is None:
+        return {}
+    return {column_name(one, key): entry for key, entry in said.items()} if isinstance(said, Mapping) else {"": said}
+
+
+def column_name(one: Mapping[str, Any], key: str) -> str:
+    """A column without its family: `relaxation.share@tau_s=1` -> `share@tau_s=1`."""
+    return spoken(str(key).removeprefix(f"{one['family']}."))
+
+
+def _with_ends(name: str, value: Any, ends: Any) -> str:
+    lower, upper = interval({"ci": ends}) if isinstance(ends, (list, tuple)) else (math.nan, math.nan)
+    known = f" ({short(lower)} to {short(upper)})" if math.isfinite(lower) and math.isfinite(upper) else ""
+    return f"{name} {short(value_of(value))}{known}".strip()
 
 
 def _finite(value: Any) -> float:
     found = number(value)
     return found if math.isfinite(found) else -math.inf
-
-
-def _several(said: Any) -> bool:
-    if isinstance(said, Mapping):
-        return "value" not in said and len(said) > 1
-    return isinstance(said, (list, tuple)) and len(said) > 1
 
 
 def amounts(said: Any) -> str:
@@ -145,11 +168,13 @@ def next_experiments(record: Record) -> Table:
         }
         for one in record.get("next_experiment") or []
     ]
-    note = "Apart: squared distance between the explanations that are hardest to tell apart, in units of noise; 13 tells them in 95 % of repeats."
+    note = "Apart: squared distance, in units of noise, of the explanations hardest to tell apart; 13 tells them in 95 % of repeats."
     return Table("loop_next", "What to measure next", rows, note)
 
 
 def _pairs(said: Any) -> str:
+    if isinstance(said, Mapping):
+        return "; ".join(f"{spoken(pair)} ({short(apart)})" for pair, apart in said.items())
     if not isinstance(said, (list, tuple)):
         return "" if said is None else str(said)
     if len(said) == 2 and all(isinstance(one, str) for one in said):
@@ -198,19 +223,19 @@ def _parameter(name: str, before: Mapping[str, Any], after: Any, whole: Mapping[
 
 
 def _added(record: Record, name: str, said: Any) -> Row:
-    family = next((one for one in candidates(record) if name == str(one["family"]) or name.startswith(f"{one['family']}.")), {})
-    ends = interval(said)
-    if not math.isfinite(ends[0]) and name == family.get("family"):
-        ends = interval({"ci": (family.get("refit") or {}).get("ci")})
-    unit = said.get("unit") if isinstance(said, Mapping) else None
-    null = number(family.get("null"))
+    entry = said if isinstance(said, Mapping) else {"value": said}
+    label = str(entry.get("family") or name.split(".")[0])
+    family = next((one for one in candidates(record) if str(one["family"]) == label), {"family": label})
+    null = family.get("null")
+    before, ends = number(null.get(name) if isinstance(null, Mapping) else null), interval(entry)
+    unit = str(entry.get("unit") or "")
     return {
         "parameter": spoken(name),
-        "unit": unit_of({"unit": unit}) if unit else unit_of(family),
-        "before": null if math.isfinite(null) else 0.0,
+        "unit": "" if unit == "1" else unit or unit_of(family),
+        "before": maybe(before),
         "before_lower": None,
         "before_upper": None,
-        "after": maybe(value_of(said)),
+        "after": maybe(value_of(entry)),
         "after_lower": maybe(ends[0]),
         "after_upper": maybe(ends[1]),
         "change_over_sd": None,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fingerjax.report.loop_record import Record, absorbed, blocks, candidates, condition_rows, critical, explanations, kind, named, number
+from fingerjax.report.loop_record import Record, absorbed, blocks, condition_rows, critical, explanations, kind, named, number
 
 ACTS_ON = {
     "finger": "the finger's shape",
@@ -18,7 +18,7 @@ ACTS_ON = {
     "afferent": "the afferent",
 }
 NOT_CONVERGED = "not converged"
-SILENT = (NOT_CONVERGED, "mesh limited", "noise unknown")  # these name nothing
+_GATE = {"failed": "not passed, so no small effect is named"}
 
 
 def spoken(name: Any) -> str:
@@ -78,10 +78,10 @@ def advice(record: Record) -> str:
     return {
         "adequate": "Use the parameters with their intervals. What could have hidden from these measurements is listed below.",
         "attributed": "Use the parameters after the effect was added. Check it where it can be measured directly, if it can.",
-        "ambiguous": "Use the parameters with the intervals that cover every explanation, and make the next experiment before choosing one.",
-        "mainly": "Use the parameters after the effect was added; the remainder is drawn below, and the intervals do not know of its cause.",
-        "two effects": "Use the parameters after both were added, with care: that there are two is harder to be sure of than that there is one.",
-        "unexplained": "Do not use the parameters as properties of the tissue: they belong to a model that is wrong somewhere. Where is drawn below.",
+        "ambiguous": "Use the parameters with intervals that cover every explanation, and make the next experiment before choosing.",
+        "mainly": "Use the parameters after the effect was added; what remains is drawn below, and the intervals know nothing of it.",
+        "two effects": "Use the parameters after both were added, with care: it is harder to be sure of two effects than of one.",
+        "unexplained": "Do not take the parameters for properties of the tissue: the model is wrong somewhere. Where, is drawn below.",
         "not testable": "Measure under other conditions; the next experiments are listed below.",
         "mesh limited": "Make the mesh finer (finger: resolution:) and run this again. No effect is named from this mesh.",
         "noise unknown": "Repeat each condition at least three times and give the repeats as trials; then the question can be answered.",
@@ -207,7 +207,7 @@ def about_rest(record: Record) -> list[str]:
     """Where something remains."""
     rows = [row for row in condition_rows(record) if row["after_over_noise"] is not None]
     p = number((record.get("verdict") or {}).get("remainder_p"))
-    said = [f"Chance alone would leave as much as remains {_chance(p)}."] if math.isfinite(p) else []
+    said = [f"Were nothing more missing, chance would leave as much as remains {_chance(p)}."] if math.isfinite(p) else []
     if rows:
         worst = max(rows, key=lambda row: row["after_over_noise"])
         said.append(f"Most remains in {worst['measurement']}, {worst['condition']}: {short(worst['after_over_noise'])} times its noise.")
@@ -226,17 +226,18 @@ def about_mesh(record: Record) -> list[str]:
     said = []
     if mesh.get("finer_nodes"):
         said.append(
-            f"The model was also solved on a finer mesh ({_nodes(mesh.get('nodes'))} -> {_nodes(mesh['finer_nodes'])} nodes); the difference "
-            "is taken off the misfit, and what may be left of it is counted as noise."
+            f"The model was also solved on a finer mesh ({_nodes(mesh.get('nodes'))} -> {_nodes(mesh['finer_nodes'])} nodes); the "
+            "difference is taken off the misfit, and what may be left of it is counted as noise."
         )
     strength = number(mesh.get("lambda_mesh"))
     if math.isfinite(strength):
         said.append(
-            f"What the mesh may still add has strength {short(strength)} in squared units of noise; up to 1 it cannot be mistaken for an effect."
+            f"What the mesh may still add has strength {short(strength)} in squared units of noise; up to 1 it cannot be mistaken for "
+            "an effect."
         )
-    gate = _gate(mesh.get("gate"))
-    if gate is not None:
-        said.append(f"Mesh guard: {'passed' if gate else 'not passed, so no small effect is named'}.")
+    gate = str(mesh.get("gate") or "")
+    if gate:
+        said.append(f"Mesh guard: {_GATE.get(gate, gate)}.")
     if math.isfinite(number(contact.get("smoothing"))):
         smooth = number(contact["smoothing"])
         said.append("Contact is exact." if smooth == 0 else f"Contact is smoothed over {short(smooth)} mm.")
@@ -245,12 +246,6 @@ def about_mesh(record: Record) -> list[str]:
 
 def _nodes(count: Any) -> str:
     return f"{number(count):.0f}" if math.isfinite(number(count)) else "unknown"
-
-
-def _gate(said: Any) -> bool | None:
-    if isinstance(said, bool) or said is None:
-        return said
-    return str(said).lower() in ("passed", "pass", "open", "ok", "true")
 
 
 def about_noise(record: Record) -> list[str]:
@@ -272,7 +267,7 @@ def about_noise(record: Record) -> list[str]:
     terms = noise.get("trial_terms")
     told = listed(list(terms)) if isinstance(terms, (list, tuple, Mapping)) and terms else ""
     more = [f"Whole trials also vary together, in {told}; this is part of the noise."] if told else []
-    return [said, *more]
+    return [str(noise.get("allows") or "") or said, *more]
 
 
 def about_trust(record: Record) -> list[str]:
@@ -281,19 +276,15 @@ def about_trust(record: Record) -> list[str]:
     alpha, boots = said.get("alpha"), said.get("n_boot")
     found = []
     measured = said.get("null_fp_measured")
-    rates = (
-        {spoken(key): value for key, value in measured.items()} if isinstance(measured, Mapping) else {"an effect was suspected": measured}
-    )
+    rates = measured if isinstance(measured, Mapping) else {"an effect was suspected": measured}
     for what, value in rates.items():
         if math.isfinite(number(value)):
             runs = f" of {short(boots)}" if boots else ""
-            found.append(f"On simulated data{runs} in which nothing is missing: {what} in {share(value)} (meant: {share(alpha)}).")
+            found.append(f"On simulated data{runs} in which nothing is missing: {spoken(what)} in {share(value)} (meant: {share(alpha)}).")
     planted = record.get("planted") or []
     if planted:
         hits = sum(bool(one.get("found")) for one in planted)
-        found.append(
-            f"Of {len(planted)} effects that were planted in simulated data, {hits} were found; the table says how large they were."
-        )
+        found.append(f"Of {len(planted)} effects planted in simulated data, {hits} were found; the table says how large they were.")
     return found or ["The method was not tried on simulated data in this run."]
 
 
@@ -301,8 +292,3 @@ def remedy(one: Record) -> str:
     """Why a candidate cannot be tested, in words."""
     reason = str(one.get("reason") or "").strip()
     return reason or "absorbed by the parameters: they can move so that nothing of it is left"
-
-
-def families(record: Record) -> list[str]:
-    """Every family that the record mentions, in the order of the ranking."""
-    return list(dict.fromkeys(str(one["family"]) for one in candidates(record)))
