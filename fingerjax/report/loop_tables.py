@@ -264,6 +264,17 @@ def by_condition(record: Record) -> Table:
     return Table("loop_by_condition", "Error by condition", condition_rows(record), note)
 
 
+def shares(record: Record) -> Table:
+    """How what remains is dealt out, as the diagnosis has it: by measurement, condition, coordinate."""
+    said = (record.get("unexplained") or {}).get("share") or {}
+    rows: list[Row] = [
+        {"by": spoken(by), "where": str(where), "share": maybe(value)}
+        for by, each in said.items()
+        for where, value in (each.items() if isinstance(each, Mapping) else [("all", each)])
+    ]
+    return Table("loop_shares", "Shares of what remains", rows, "Of the summed squares of (data - model) / noise.")
+
+
 def patterns(record: Record) -> Table:
     """What else is known of the form of the remainder: symmetry, spectrum."""
     said = record.get("unexplained") or {}
