@@ -93,12 +93,12 @@ def _studies(file: Path, names: Sequence[str], data: Path | None) -> list[Study]
         remedy = f"name one of {', '.join(fitting)}" if fitting else "write fit: {free: [epidermis.modulus]} in a study"
         problem = "several studies fit something, and none has the key diagnose" if fitting else "no study fits anything"
         raise InputError(problem, file=file, place="--study", remedy=remedy)
-    ready, absent = choose(studies, wanted)
+    ready, _ = choose(studies, wanted)
     for one in ready:
         if one.kind != "fit" or not one.fit.free:
             remedy = f"name one of {', '.join(fitting)}" if fitting else "write fit: {free: [epidermis.modulus]}"
             raise InputError("this study fits nothing, so nothing is left over", file=file, place=one.name, remedy=remedy)
-    return [*ready, *absent]
+    return ready
 
 
 def _with_effects(study: Study, said: str | None, folder: Path | None) -> Study:
