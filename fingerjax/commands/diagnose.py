@@ -120,7 +120,8 @@ def _with_effects(study: Study, said: str | None, folder: Path | None) -> Study:
     for one in [] if asked == "all" else [asked] if isinstance(asked, str) else asked:
         if one not in names:
             raise InputError("no such effect", file=file, place=place, seen=one, remedy=choose_from(one, names))
-    return replace(study, diagnose=replace(own, effects=asked))
+    written = {**study.written, "diagnose": {**(study.written.get("diagnose") or {}), "effects": plain(asked)}}
+    return replace(study, diagnose=replace(own, effects=asked), written=written)
 
 
 def _split(said: str) -> str | tuple[str, ...]:

@@ -88,10 +88,18 @@ PLANS: dict[str, Plan] = {
 }
 
 
+WITHOUT_FIT = ("mesh", "noise")  # what can still be told where the fit found no optimum
+
+
+def plans(record: Record) -> dict[str, Plan]:
+    """The chapters of a record. From a fit without an optimum no value is shown anywhere."""
+    return PLANS if outcome(record) is RESULTS.successful else {key: PLANS[key] for key in WITHOUT_FIT}
+
+
 def chapters(record: Record) -> list[Chapter]:
     """Every chapter with its pictures and tables; what the record has nothing for is left out."""
     found = []
-    for key, plan in PLANS.items():
+    for key, plan in plans(record).items():
         figures = [dataclasses.replace(one, chapter=key) for one in plan.figures(record) if one is not None and one.rows]
         tables = [dataclasses.replace(table, chapter=key) for make in plan.tables if (table := make(record)).rows]
         found.append(Chapter(key, plan.title, plan.text(record), figures, tables))
@@ -109,7 +117,7 @@ def filled(result: StudyResult) -> list[Chapter]:
             [one for one in result.figures if one.chapter == key],
             [one for one in result.tables if one.chapter == key],
         )
-        for key, plan in PLANS.items()
+        for key, plan in plans(record).items()
     ]
 
 
@@ -126,7 +134,7 @@ def result(record: Record, name: str, title: str, **more: Any) -> StudyResult:
         result=outcome(record),
         tables=[table for part in parts for table in part.tables],
         figures=[figure for part in parts for figure in part.figures],
-        fit=fit_object(record),
+        fit=fit_object(record) if record.get("base") else None,
         loop=dict(record),
         warnings=loop_words.warnings(record),
         meshes=meshes(record),

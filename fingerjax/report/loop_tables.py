@@ -230,7 +230,7 @@ def _added(record: Record, name: str, said: Any) -> Row:
     before, ends = number(null.get(name) if isinstance(null, Mapping) else null), interval(entry)
     unit = str(entry.get("unit") or "")
     return {
-        "parameter": spoken(name),
+        "parameter": f"{spoken(label)}: {column_name(family, name)}" if name != label else spoken(name),
         "unit": "" if unit == "1" else unit or unit_of(family),
         "before": maybe(before),
         "before_lower": None,

@@ -157,11 +157,11 @@ def about_effects(record: Record) -> list[str]:
     said = record.get("critical") or {}
     alpha = number(said.get("alpha"))
     rarely = f"in {share(alpha)} of data sets" if math.isfinite(alpha) else "rarely"
+    line = f" ({short(critical(record))})" if math.isfinite(critical(record)) else ""
     wide = f" among {said['n_columns']} directions that were tried" if said.get("n_columns") else ""
     return [
         "The score of an effect says how well its trace in the measurements matches what is left, after the model's own parameters have "
-        f"moved as far as they can to take its place. Chance alone passes the dashed line, {short(critical(record))}, {rarely}, "
-        f"anywhere{wide}.",
+        f"moved as far as they can to take its place. Chance alone passes the dashed line{line} {rarely}, anywhere{wide}.",
         "The right half says how small an effect these measurements could have shown (bar) and how large it seems (diamond), "
         "both as multiples of a plausible size. A bar beyond 3 means that no effect of credible size would have been seen here.",
         "A high score is a suspicion. What decides is the fit made anew with the effect in it, in the table below the picture: it must "
@@ -279,8 +279,8 @@ def about_trust(record: Record) -> list[str]:
     rates = measured if isinstance(measured, Mapping) else {"an effect was suspected": measured}
     for what, value in rates.items():
         if math.isfinite(number(value)):
-            runs = f" of {short(boots)}" if boots else ""
-            found.append(f"On simulated data{runs} in which nothing is missing: {spoken(what)} in {share(value)} (meant: {share(alpha)}).")
+            sets = f"{short(boots)} simulated data sets" if boots else "simulated data"
+            found.append(f"In {sets} from which nothing is missing, {spoken(what)} in {share(value)} (meant: {share(alpha)}).")
     planted = record.get("planted") or []
     if planted:
         hits = sum(bool(one.get("found")) for one in planted)
