@@ -201,12 +201,14 @@ def _unexplained(rows: dict[str, Any]) -> dict[str, Any]:
     smooth = {}
     for name in ("line", "bar"):
         place = np.array(rows[name]["coordinates"]["distance" if name == "line" else "position"])
+        if name == "line":  # as the loop has it, of the rows that were fitted
+            place = place[np.array(rows[name]["role"]) == "fit"]
         size = float(np.std(np.array(rows[name]["measured"]) - np.array(rows[name]["after"])))
         mean = 1.5 * size * np.exp(-((place - 0.9) ** 2))
-        smooth[name] = {"amplitude": size, "length": 1.0, "mean": mean.tolist(), "band": [0.5 * size] * place.size}
+        smooth[name] = {"amplitude": size, "length": 1.0, "mean": mean.tolist(), "band": [0.2 * size] * place.size}
     return {
         "gp": smooth,
         "share": {"block": {"line": 0.71, "bar": 0.29}, "condition": {"line, depth 2 mm": 0.4}},
         "symmetry": {"line": 0.35, "bar": 0.48},
-        "spectrum": {"line": {"autocorrelation": 0.6, "wavelength": 2.1}},
+        "spectrum": {"line": {"neighbours": 0.6, "wavelength": 2.1, "share": 0.5}},
     }

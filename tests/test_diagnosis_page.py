@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from diagnosis_records import ACTS_ON, KINDS, NAMED, TEXT, record
 from fingerjax._results import RESULTS
 from fingerjax.report import StudyResult, loop_figures, loop_tables, loop_words
 from fingerjax.report.loop_page import PLANS, chapters, result
-from fingerjax.report.loop_record import blocks, candidates, error_rows, interval, kind, number
+from fingerjax.report.loop_record import NORMAL, blocks, candidates, error_rows, interval, kind, number
 from fingerjax.report.loop_residuals import remainder, residuals
 from fingerjax.report.page import page
 from fingerjax.report.records import RunFolder, plain, run_record
@@ -43,6 +44,17 @@ class Seen(HTMLParser):
 
 def seen(said: dict[str, Any]) -> Seen:
     return Seen(page([result(said, "mine", "What the model of mine lacks", created="now")]))
+
+
+@cache
+def done(what: str) -> StudyResult:
+    """The result of a kind of record, drawn once for all tests that change nothing in it."""
+    return result(record(what), "mine", "What the model of mine lacks", created="now")
+
+
+@cache
+def text_of(what: str) -> Seen:
+    return Seen(page([done(what)]))
 
 
 # ---- the verdict ----
@@ -73,7 +85,7 @@ ADVICE = {
 
 @pytest.mark.parametrize("what", KINDS)
 def test_each_verdict_is_one_sentence_at_the_top_and_what_to_do(what: str) -> None:
-    told = seen(record(what)).text
+    told = text_of(what).text
     assert SENTENCES[what] in told
     assert ADVICE[what] in told
     first = told.index(SENTENCES[what])
@@ -82,7 +94,7 @@ def test_each_verdict_is_one_sentence_at_the_top_and_what_to_do(what: str) -> No
 
 @pytest.mark.parametrize("what", KINDS)
 def test_the_page_of_each_verdict_needs_no_other_file(what: str) -> None:
-    found = seen(record(what))
+    found = text_of(what)
     inside = [address for address in found.addresses if address.startswith("#")]
     assert all(address.removeprefix("#") in found.anchors for address in inside)
     assert len(inside) == len(PLANS)
@@ -98,9 +110,9 @@ def test_nothing_is_named_where_nothing_may_be() -> None:
 
 
 def test_absorbed_effects_stand_beside_the_moduli() -> None:
-    chapter = next(one for one in chapters(record("adequate")) if one.key == "parameters")
-    assert [table.name for table in chapter.tables] == ["loop_parameters", "loop_absorbed"]
-    assert chapter.tables[1].rows == [{"effect": "force gain", "hidden_by_a_change_of": "all moduli +10 %"}]
+    tables = [table for table in done("adequate").tables if table.chapter == "parameters"]
+    assert [table.name for table in tables] == ["loop_parameters", "loop_absorbed"]
+    assert tables[1].rows == [{"effect": "force gain", "hidden_by_a_change_of": "all moduli +10 %"}]
     warned = loop_words.warnings(record("adequate"))
     assert any("cannot see force gain" in one for one in warned)
     assert loop_words.warnings(record("adequate", verdict={"kind": "adequate", "families": [], "absorbed": []})) == []
@@ -147,7 +159,7 @@ def test_errors_are_those_of_the_rows() -> None:
 
 def test_every_number_of_the_ranking_is_on_the_page() -> None:
     said = record("attributed")
-    text = seen(said).text
+    text = text_of("attributed").text
     for one in said["candidates"]:
         assert one["family"].replace("_", " ") in text
         assert shown(one["z"]) in text and shown(one["mde"]) in text
@@ -223,20 +235,20 @@ def test_text_is_escaped() -> None:
 
 
 def test_noise_and_mesh_say_what_they_allow() -> None:
-    text = seen(record("noise unknown")).text
+    text = text_of("noise unknown").text
     assert "The noise was assumed; whether the model is adequate cannot be said." in text
     stated = record("adequate")
     stated["data"]["noise"] |= {"source": "stated", "allows": ""}
-    assert "stands and falls with what was stated" in seen(stated).text
-    assert "Noise was measured from repeated readings; 212 degrees of freedom" in seen(record("adequate")).text
-    coarse = seen(record("mesh-limited")).text
+    assert "stands and falls with what was stated" in loop_words.about_noise(stated)[0]
+    assert "Noise was measured from repeated readings; 212 degrees of freedom" in text_of("adequate").text
+    coarse = text_of("mesh-limited").text
     assert "Mesh guard: not passed, so no small effect is named." in coarse and "has strength 7.4" in coarse
-    assert "Mesh guard: passed." in seen(record("adequate")).text
+    assert "Mesh guard: passed." in text_of("adequate").text
     assert "9512 -> 61230 nodes" in coarse
 
 
 def test_planted_effects_and_false_positives_are_told() -> None:
-    text = seen(record("adequate")).text
+    text = text_of("adequate").text
     assert "Of 3 effects planted in simulated data, 2 were found" in text
     assert "an effect was suspected in 4.5 % (meant: 5 %)" in text
 
@@ -251,10 +263,10 @@ def test_a_kind_is_known_however_it_is_spelled(said: Any, means: str) -> None:
 
 def test_no_sentence_is_left_half_said() -> None:
     for what in KINDS:
-        for chapter in chapters(record(what)):
-            for sentence in chapter.text:
+        for plan in PLANS.values():
+            for sentence in plan.text(record(what)):
                 assert sentence[-1] in ".:" and "unknown" not in sentence, sentence
-            assert all(figure.caption.endswith(".") for figure in chapter.figures)
+        assert all(figure.caption.endswith(".") for figure in done(what).figures)
 
 
 # ---- pictures ----
@@ -281,11 +293,10 @@ def test_a_measurement_without_coordinates_is_drawn_by_row() -> None:
 @pytest.mark.parametrize("what", KINDS)
 def test_the_rows_of_every_figure_are_the_records(what: str, tmp_path: Path) -> None:
     said = record(what)
-    done = result(said, "mine", "Mine", created="now")
     folder = RunFolder(tmp_path / "out")
-    folder.keep("key", done)
-    folder.put_in_place([done], page([done]), run_record([done], ""))
-    drawn = {path.stem: list(csv.DictReader(path.open())) for path in (tmp_path / "out/mine/figures").glob("*.csv")}
+    folder.keep("key", done(what))
+    folder.put_in_place([done(what)], "<html>", run_record([done(what)], ""))
+    drawn = {path.stem: list(csv.DictReader(path.read_text().splitlines())) for path in (tmp_path / "out/mine/figures").glob("*.csv")}
     assert {path.stem for path in (tmp_path / "out/mine/figures").glob("*.svg")} == set(drawn)
     line, rows = said["rows"]["line"], drawn["loop_residual_line"]
     assert [float(row["measured_mm"]) for row in rows] == pytest.approx(line["measured"], rel=1e-9)
@@ -302,7 +313,7 @@ def test_the_rows_of_every_figure_are_the_records(what: str, tmp_path: Path) -> 
     if what == "unexplained":
         smooth = said["unexplained"]["gp"]["bar"]
         assert [float(row["smooth_Hz"]) for row in drawn["loop_remainder_bar"]] == pytest.approx(smooth["mean"], abs=1e-12)
-        assert float(drawn["loop_remainder_bar"][0]["upper_Hz"]) == pytest.approx(smooth["mean"][0] + smooth["band"][0])
+        assert float(drawn["loop_remainder_bar"][0]["upper_Hz"]) == pytest.approx(smooth["mean"][0] + NORMAL * smooth["band"][0])
     else:
         assert not [name for name in drawn if name.startswith("loop_remainder")]
     whole = json.loads((tmp_path / "out/report.json").read_text())
@@ -312,18 +323,21 @@ def test_the_rows_of_every_figure_are_the_records(what: str, tmp_path: Path) -> 
 
 
 def test_pictures_are_the_same_each_time() -> None:
-    first, second = (result(record("unexplained"), "mine", "Mine", created="now") for _ in range(2))
+    first, second = done("unexplained"), result(record("unexplained"), "mine", "Mine", created="now")
     assert [one.svg for one in first.figures] == [one.svg for one in second.figures]
     assert len({one.name for one in first.figures}) == len(first.figures)
 
 
-def test_a_band_may_be_given_by_its_ends() -> None:
-    (block, *_) = blocks(record("unexplained"))
-    smooth = record("unexplained")["unexplained"]["gp"]["line"]
-    ends = [[mean - half, mean + half] for mean, half in zip(smooth["mean"], smooth["band"], strict=True)]
-    one, other = remainder(block, smooth), remainder(block, {**smooth, "band": ends})
-    assert one is not None and other is not None
-    assert [row["upper_mm"] for row in one.rows] == pytest.approx([row["upper_mm"] for row in other.rows])
+def test_the_smooth_part_lies_on_the_rows_that_were_fitted() -> None:
+    said = record("unexplained")
+    block = blocks(said)[0]
+    smooth = said["unexplained"]["gp"]["line"]
+    drawn = remainder(block, smooth)
+    assert drawn is not None
+    known = [row for row in drawn.rows if row["smooth_mm"] is not None]
+    assert [row["smooth_mm"] for row in known] == smooth["mean"] and {row["used"] for row in known} == {"fitted"}
+    assert known[0]["upper_mm"] == pytest.approx(smooth["mean"][0] + NORMAL * smooth["band"][0])
+    assert remainder(block, {"amplitude": 0.0, "mean": [0.0] * len(known), "band": [0.0] * len(known)}) is None
     assert remainder(block, {"amplitude": 1.0}) is None
 
 
@@ -335,7 +349,7 @@ def test_a_picture_of_next_experiments_only_where_there_are_any() -> None:
 
 
 def test_a_page_can_be_made_again_from_what_was_kept() -> None:
-    done = result(record("unexplained"), "mine", "Mine", created="now")
-    again = StudyResult.from_json(json.loads(json.dumps(done.to_json())))
+    before = done("unexplained")
+    again = StudyResult.from_json(json.loads(json.dumps(before.to_json())))
     strip = re.compile(r"\d{4}-\d\d-\d\dT[\d:+]+")
-    assert strip.sub("", page([again])) == strip.sub("", page([done]))
+    assert strip.sub("", page([again])) == strip.sub("", page([before]))

@@ -21,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from fingerjax.report.figures import COLOURS, PAPER, draw, numbers
 from fingerjax.report.loop_record import Record, candidates, condition_rows, critical, error_rows, explanations, maybe
@@ -52,6 +53,18 @@ def _lines(axes: Axes, labels: Sequence[str], *, bold: Sequence[bool] = ()) -> n
     for tick, strong in zip(axes.get_yticklabels(), bold, strict=False):
         tick.set_fontweight("bold" if strong else "normal")
     return place
+
+
+def plain_ticks(axes: Axes, places: Sequence[float]) -> None:
+    """Ticks along x at such of the places as lie within the axis, written as 0.1, 1, 10."""
+    low, high = axes.get_xlim()
+    axes.xaxis.set_major_locator(FixedLocator([place for place in places if low <= place <= high]))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+DECADES = [10.0**power for power in range(-6, 7)]
+SPREAD = [0, 1, 3, 10, 30, 100, 300, 1000]
 
 
 # ---- errors ----
@@ -91,7 +104,8 @@ def errors(record: Record, name: str = "loop_errors") -> Figure:
 def _write(axes: Axes, place: np.ndarray, values: np.ndarray) -> None:
     for height, value in zip(place, values, strict=True):
         if math.isfinite(value):
-            axes.annotate(short(value), (value, height), (3, 0), textcoords="offset points", va="center", fontsize=7.5)
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+            axes.annotate(short(value), (value, height), (4, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=box)
 
 
 # ---- effects ----
@@ -149,12 +163,18 @@ def _scores(axes: Axes, rows: Sequence[Row], place: np.ndarray) -> None:
         if row["testable"] and math.isfinite(score):
             axes.barh(height, score, 0.66, color=ACTING.get(row["acts_on"], PAPER))
         else:
-            axes.text(0.0, height, " " + plainly(_briefly(row["remark"])), va="center", fontsize=7.5, color="#666666", style="italic")
+            style: dict[str, Any] = {"fontsize": 7.5, "color": "#666666", "style": "italic"}
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+            axes.annotate(
+                plainly(_briefly(row["remark"])), (0.0, height), (4, 0), textcoords="offset points", va="center", bbox=box, **style
+            )
+    axes.set_xlim(0, 1.05 * furthest)
     if line.size and math.isfinite(line[0]):
         axes.axvline(line[0], color="black", linestyle="--", linewidth=0.9)
         if furthest > 5 * line[0]:  # a strong effect must not press the line into the axis
             axes.set_xscale("function", functions=(lambda x: np.sqrt(np.maximum(x, 0.0)), np.square))
-    axes.set_xlim(0, 1.05 * furthest)
+            axes.set_xlim(0, 1.05 * furthest)
+            plain_ticks(axes, SPREAD)
     axes.set_xlabel("score |z|")
 
 
@@ -177,7 +197,8 @@ def _sizes(axes: Axes, rows: Sequence[Row], place: np.ndarray) -> None:
     shown = shown[np.isfinite(shown) & (shown > 0)]
     low, high = (min(0.2, shown.min()), max(8.0, shown.max())) if shown.size else (0.1, 10.0)
     axes.set_xscale("log")
-    axes.set_xlim(max(0.6 * low, 1e-4), 1.6 * high)
+    axes.set_xlim(max(0.6 * low, 1e-3), 1.6 * high)
+    plain_ticks(axes, DECADES)
     axes.axvspan(CREDIBLE, 1e6, color="#F1EFEA", zorder=0)
     axes.axvline(1.0, color="#999999", linewidth=0.8)
     axes.set_xlabel("size, in plausible sizes")
@@ -186,8 +207,7 @@ def _sizes(axes: Axes, rows: Sequence[Row], place: np.ndarray) -> None:
     edge.set_yticks(place, [_amount(row) for row in rows], fontsize=7.5, color="#444444")
     edge.tick_params(axis="y", length=0)
     edge.grid(visible=False)
-    edge.spines["left"].set_visible(False)
-    axes.set_title("smallest visible", loc="right", x=1.0, fontsize=7.5, color="#444444", ha="left")
+    edge.set_ylabel("smallest visible size", fontsize=7.5, color="#444444", rotation=270, labelpad=10)
 
 
 def _amount(row: Row) -> str:
@@ -258,14 +278,17 @@ def next_experiments(record: Record, name: str = "loop_next") -> Figure | None:
 
     def paint(canvas: Canvas) -> None:
         axes = canvas.subplots()
-        labels = [f"{row['condition']}" + (f", {row['repeats']} repeats" if row["repeats"] else "") for row in rows]
-        place = _lines(axes, ["\n".join(textwrap.wrap(label, 44)) for label in labels])
+        counts = [f"{row['repeats']} repeats" if row["repeats"] else "" for row in rows]
+        names = ["\n".join(textwrap.wrap(str(row["condition"]), 44)) for row in rows]
+        place = _lines(axes, ["\n".join(filter(None, pair)) for pair in zip(names, counts, strict=True)])
         now, later = numbers(rows, "apart_now"), numbers(rows, "apart_after")
         axes.hlines(place, np.maximum(now, 1e-2), np.maximum(later, 1e-2), color=AFTER, linewidth=2)
         axes.plot(np.maximum(now, 1e-2), place, "o", color=BEFORE, markersize=6, linestyle="none", label="now")
         axes.plot(np.maximum(later, 1e-2), place, "o", color=AFTER, markersize=6, linestyle="none", label="with it")
         axes.axvline(SEPARATED, color="black", linestyle="--", linewidth=0.9, label="told apart in 95 % of repeats")
         axes.set_xscale("log")
+        axes.set_xlim(0.7 * min(1.0, axes.get_xlim()[0]), 1.4 * max(20.0, axes.get_xlim()[1]))
+        plain_ticks(axes, DECADES)
         axes.set_xlabel("distance of the explanations, squared, in units of noise")
         canvas.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=3)
 

@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from fingerjax.report.figures import COLOURS, MARKERS, draw, shades
-from fingerjax.report.loop_figures import plainly
+from fingerjax.report.loop_figures import DECADES, plain_ticks, plainly
 from fingerjax.report.loop_record import NORMAL, ROLES, UNITS, Block, Record, column, maybe, residual_rows, with_unit
 from fingerjax.report.records import Figure, Row
 
@@ -69,8 +69,10 @@ def _paint(canvas: Canvas, block: Block) -> None:
         _band(axes, block, x)
         axes.axhline(0.0, color="black", linewidth=0.8)
         for number, mask in enumerate(series.values()):
-            held = not all(block.role[i] == "fit" for i in np.flatnonzero(mask))
-            _line(axes, x[mask], block.left(when)[mask], colours[number], MARKERS[number % len(MARKERS)], hollow=held)
+            _line(axes, x[mask], block.left(when)[mask], colours[number], MARKERS[number % len(MARKERS)], held_out(block)[mask])
+        if _spread_out(block, x):
+            axes.set_xscale("log")
+            plain_ticks(axes, DECADES)
         axes.set_title(when if len(moments) > 1 else "", loc="left", fontsize=9, fontweight="bold")
         axes.set_ylabel(plainly(f"data − model{_in(block.unit)}"))
     panels[-1].set_xlabel(plainly(ACROSS.get(block.along or "", block.along or "number of the row")))
@@ -80,6 +82,17 @@ def _paint(canvas: Canvas, block: Block) -> None:
 def across(block: Block) -> np.ndarray:
     """(rows,) the coordinate that a measurement is drawn over; the number of the row where none varies."""
     return block.coordinates[block.along] if block.along is not None else np.arange(1.0, len(block) + 1)
+
+
+def held_out(block: Block) -> np.ndarray:
+    """(rows,) true where a row was not fitted."""
+    return ~block.where("fit")
+
+
+def _spread_out(block: Block, x: np.ndarray) -> bool:
+    """Whether times are many early and few late, and want a logarithmic axis."""
+    x = x[np.isfinite(x)]
+    return block.along == "time" and bool(x.size) and float(x.min()) > 0 and float(x.max()) > 30 * float(x.min())
 
 
 def _in(unit: str) -> str:
@@ -107,19 +120,20 @@ def _band(axes: Axes, block: Block, x: np.ndarray) -> None:
     axes.fill_between(place, -wide, wide, color=BAND, linewidth=0, zorder=0)
 
 
-def _line(axes: Axes, x: np.ndarray, y: np.ndarray, colour: Any, marker: str, *, hollow: bool) -> None:
-    """Single readings as points, joined through the mean of repeats."""
+def _line(axes: Axes, x: np.ndarray, y: np.ndarray, colour: Any, marker: str, held: np.ndarray) -> None:
+    """Single readings as points, hollow where they were held out, joined through the mean of repeats."""
     place = np.unique(np.round(x[np.isfinite(x) & np.isfinite(y)], 9))
     mean = [float(np.nanmean(y[np.isclose(x, at, rtol=0.0, atol=1e-8)])) for at in place]
-    axes.plot(x, y, marker, color=colour, markerfacecolor="white" if hollow else colour, markersize=3.2, alpha=0.75, linestyle="none")
-    axes.plot(place, mean, color=colour, linewidth=1.2, linestyle="--" if hollow else "-")
+    for mask, face in ((~held, colour), (held, "white")):
+        axes.plot(x[mask], y[mask], marker, color=colour, markerfacecolor=face, markersize=3.2, alpha=0.75, linestyle="none")
+    axes.plot(place, mean, color=colour, linewidth=1.2, linestyle="--" if held.all() else "-")
 
 
 def _legend(canvas: Canvas, block: Block, colours: list[Any]) -> None:
     handles: list[Any] = []
     series = block.series
     for number, (label, mask) in enumerate(list(series.items())[:MOST]):
-        hollow = not all(block.role[i] == "fit" for i in np.flatnonzero(mask))
+        hollow = bool(held_out(block)[mask].all())
         face = "white" if hollow else colours[number]
         text = plainly(label.removeprefix(f"{block.name}: ").removeprefix(f"{block.name}, "), 26)
         handles.append(
@@ -139,9 +153,11 @@ def _legend(canvas: Canvas, block: Block, colours: list[Any]) -> None:
 def remainder(block: Block, smooth: Record) -> Figure | None:
     """What remains with its smooth part and the band of that, condition by condition; None where the record has no smooth part of it."""
     rows = remainder_rows(block, smooth)
-    if not rows:
+    if not rows or not any(row[with_unit("smooth", block.unit)] for row in rows):
         return None
-    caption = f"{block.name}: what remains (points), its smooth part (line) and where that lies in 95 % of repeats (band)."
+    caption = (
+        f"{block.name}: what remains (points; hollow: held out), its smooth part (line) and where that lies in 95 % of repeats (band)."
+    )
     worst = _worst(block)
     if len(worst) < len(block.series):
         caption += f" The {len(worst)} conditions with the largest remainder; the others are in the table beside it."
@@ -174,13 +190,20 @@ def left_over(block: Block) -> np.ndarray:
 
 
 def smooth_part(block: Block, smooth: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(mean, lower, upper), (rows,) each; `band` is the half width, or a pair of ends, of each row."""
-    mean, band = column(smooth.get("mean"), len(block)), smooth.get("band")
-    if isinstance(band, (list, tuple)) and len(band) == len(block) and all(isinstance(one, (list, tuple)) for one in band):
-        lower, upper = (column([one[end] for one in band], len(block)) for end in (0, 1))
-        return mean, lower, upper
-    half = column(band, len(block))
-    return mean, mean - half, mean + half
+    """(mean, lower, upper), (rows,) each, NaN where it is not known. `mean` and `band`, one standard deviation, are of every row or of
+    those that were fitted.
+    """
+    mean, half = (_dealt(smooth.get(key), block) for key in ("mean", "band"))
+    return mean, mean - NORMAL * half, mean + NORMAL * half
+
+
+def _dealt(values: Any, block: Block) -> np.ndarray:
+    fitted = np.flatnonzero(~held_out(block))
+    if isinstance(values, (list, tuple)) and len(values) == len(fitted) != len(block):
+        dealt = np.full(len(block), math.nan)
+        dealt[fitted] = column(values, len(fitted))
+        return dealt
+    return column(values, len(block))
 
 
 def _worst(block: Block) -> list[str]:
@@ -202,9 +225,14 @@ def _panels(canvas: Canvas, block: Block, smooth: Record, labels: list[str]) -> 
     for axes, label in zip(grid.flat, labels, strict=False):
         mask = series[label]
         order = np.flatnonzero(mask)[np.argsort(x[mask], kind="stable")]
+        held = held_out(block)
         axes.fill_between(x[order], lower[order], upper[order], color="#F6D9C3", linewidth=0)
-        axes.plot(x[order], rest[order], "o", color="#777777", markersize=2.8, linestyle="none")
+        for chosen, face in ((order[~held[order]], "#777777"), (order[held[order]], "white")):
+            axes.plot(x[chosen], rest[chosen], "o", color="#777777", markerfacecolor=face, markersize=2.8, linestyle="none")
         axes.plot(x[order], mean[order], color=COLOURS[1])
+        if _spread_out(block, x):
+            axes.set_xscale("log")
+            plain_ticks(axes, DECADES)
         axes.axhline(0.0, color="black", linewidth=0.7)
         axes.set_title(plainly(textwrap.shorten(label, 34, placeholder=" ...")), fontsize=8)
     for axes in list(grid.flat)[len(labels) :]:

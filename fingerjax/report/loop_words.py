@@ -75,6 +75,7 @@ def _said(what: str, names: Sequence[str], record: Record) -> str:
 
 def advice(record: Record) -> str:
     """What a reader may do with the numbers after this verdict, and what to do next."""
+    what = kind(record) if (record.get("base") or {}).get("converged", True) else NOT_CONVERGED
     return {
         "adequate": "Use the parameters with their intervals. What could have hidden from these measurements is listed below.",
         "attributed": "Use the parameters after the effect was added. Check it where it can be measured directly, if it can.",
@@ -86,7 +87,7 @@ def advice(record: Record) -> str:
         "mesh limited": "Make the mesh finer (finger: resolution:) and run this again. No effect is named from this mesh.",
         "noise unknown": "Repeat each condition at least three times and give the repeats as trials; then the question can be answered.",
         NOT_CONVERGED: "Free fewer parameters, add a prior, or start elsewhere.",
-    }.get(kind(record), "")
+    }.get(what, "")
 
 
 def warnings(record: Record) -> list[str]:
@@ -213,8 +214,8 @@ def about_rest(record: Record) -> list[str]:
         said.append(f"Most remains in {worst['measurement']}, {worst['condition']}: {short(worst['after_over_noise'])} times its noise.")
     if (record.get("unexplained") or {}).get("gp"):
         said.append(
-            "The smooth line is the part of what remains that no change of the parameters could take away, with the band where it lies in "
-            "95 % of repeats. It is a picture of what is missing, not a cause."
+            "The smooth line is the part of what remains that no change of the parameters could take away, drawn for the conditions that "
+            "were fitted, with the band where it lies in 95 % of repeats. It is a picture of what is missing, not a cause."
         )
     return said
 
