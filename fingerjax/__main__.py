@@ -11,6 +11,8 @@ os.environ.setdefault("NPROC", "16")
 import typer
 
 from fingerjax.commands.design import design
+from fingerjax.commands.diagnose import diagnose
+from fingerjax.commands.effects import effects
 from fingerjax.commands.grid import grid
 from fingerjax.commands.mesh import mesh
 from fingerjax.commands.run import run
@@ -30,6 +32,8 @@ app = typer.Typer(
     ),
 )
 app.command()(run)
+app.command()(diagnose)
+app.command()(effects)
 app.command()(mesh)
 app.command()(studies)
 app.command()(verify)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
-from fingerjax.commands.run import choose
+from fingerjax.commands.run import choose, data_folder
 from fingerjax.errors import InputError
 from fingerjax.forward import Assembled, assemble
 from fingerjax.identify import Fit, fit
@@ -17,8 +16,7 @@ Tell = Callable[[float, str], object]
 
 def one_study(file: Path, name: str | None, data: Path | None) -> Study:
     """The study meant. **Raises** `InputError` where there are several and none is named, or where it fits nothing."""
-    folder = data or (Path(os.environ["FINGERJAX_DATA"]) if os.environ.get("FINGERJAX_DATA") else None)
-    studies = load_studies(file, folder)
+    studies = load_studies(file, data_folder(data))
     fitting = {key: one for key, one in studies.items() if one.kind == "fit"}
     if name is None and len(fitting) != 1:
         raise InputError("several studies, or none, fit something", file=file, place="--study", remedy=f"name one of {', '.join(fitting)}")

@@ -16,9 +16,9 @@ from fingerjax.study import Study
 from fingerjax.study_reader import SHARED
 
 
-def study_key(study: Study, data: Path | None) -> str:
-    """A hash of the study as written, every file that it names (with its sidecar), and the program."""
-    digest = hashlib.sha256()
+def study_key(study: Study, data: Path | None, options: str = "") -> str:
+    """A hash of the study as written, every file that it names (with its sidecar), the program, and `options` of the command."""
+    digest = hashlib.sha256(options.encode())
     said = {"name": study.name, "written": plain(study.written), "missing": list(study.missing_data)}
     digest.update(json.dumps(said, sort_keys=True).encode())
     for path in sorted(set(named_files(study, data))):

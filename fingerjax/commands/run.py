@@ -6,7 +6,7 @@ import dataclasses
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,15 +49,20 @@ def run(
     Exit code 0: all ended well; 1: something did not converge; 2: wrong input; 130: stopped by Ctrl-C.
     """
     with told():
-        folder = data or (Path(os.environ["FINGERJAX_DATA"]) if os.environ.get("FINGERJAX_DATA") else None)
+        folder = data_folder(data)
         chosen, skipped = choose(load_studies(file, folder), study or [])
         prepare()
         place = out or Path("results") / "-".join([file.stem, *(study or [])])
-        results = _run_all(chosen, skipped, RunFolder(place, fresh=fresh), folder, file)
+        results = run_all(chosen, skipped, RunFolder(place, fresh=fresh), folder, file)
         _tell(results, place)
     if not all(result.converged for result in results):
         say("fingerjax: not everything converged, see the warnings in the report")
         raise typer.Exit(NOT_CONVERGED)
+
+
+def data_folder(said: Path | None) -> Path | None:
+    """The folder of measured data: what was said, else FINGERJAX_DATA, else None."""
+    return said or (Path(os.environ["FINGERJAX_DATA"]) if os.environ.get("FINGERJAX_DATA") else None)
 
 
 def choose(studies: dict[str, Study], names: Sequence[str]) -> tuple[list[Study], list[Study]]:
@@ -104,9 +109,20 @@ def prepare() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
 
 
-def _run_all(
-    chosen: Sequence[Study], skipped: Sequence[Study], folder: RunFolder, data: Path | None, file: Path
+def run_all(
+    chosen: Sequence[Study],
+    skipped: Sequence[Study],
+    folder: RunFolder,
+    data: Path | None,
+    file: Path,
+    how: Callable[[Study, str], Runner] | None = None,
+    options: str = "",
 ) -> list[StudyResult]:
+    """Run every study and put the whole in place; the finished ones are kept as they come.
+
+    **Arguments:** `how` gives the runner of a study from it and its key (that of its kind where None); `options` is what a result
+    depends on besides the study itself.
+    """
     results: list[StudyResult] = []
     with Board([one.name for one in chosen], _seconds_before(folder.out), console()) as board:
         for one in skipped:
@@ -115,7 +131,7 @@ def _run_all(
             board.line(f"{one.name}: {results[-1].verdict}")
         try:
             for one in chosen:
-                results.append(_run_one(one, folder, data, board))
+                results.append(_run_one(one, folder, data, board, how or (lambda study, key: runner(study)), options))
         except KeyboardInterrupt:
             kept = ", ".join(result.name for result in results) or "no study yet"
             say(f"fingerjax: interrupted; kept: {kept}. The same command goes on from there.")
@@ -131,15 +147,17 @@ def _left_out(study: Study) -> StudyResult:
     return StudyResult(study.name, study.name, verdict)
 
 
-def _run_one(study: Study, folder: RunFolder, data: Path | None, board: Board) -> StudyResult:
-    key = study_key(study, data)
+def _run_one(
+    study: Study, folder: RunFolder, data: Path | None, board: Board, how: Callable[[Study, str], Runner], options: str
+) -> StudyResult:
+    key = study_key(study, data, options)
     before = folder.finished(study.name, key)
     if before is not None:
         board.line(f"{study.name}: finished before. {before.verdict}")
         return before
     began = time.perf_counter()
     context = Context(folder.begin(study.name), data, board.teller(study.name))
-    result = runner(study)(study, context)
+    result = how(study, key)(study, context)
     if result.result is RESULTS.interrupted:
         raise KeyboardInterrupt
     result = dataclasses.replace(result, name=study.name, resolved=resolved(study), seconds=time.perf_counter() - began)

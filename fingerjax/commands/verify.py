@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +14,7 @@ from rich.console import Console
 
 from fingerjax.commands._ending import console, say, told
 from fingerjax.commands._progress import Board
-from fingerjax.commands.run import choose, prepare
+from fingerjax.commands.run import choose, data_folder, prepare
 from fingerjax.forward import assemble
 from fingerjax.forward.balance import Check
 from fingerjax.identify.verification import verify as verified
@@ -50,7 +49,7 @@ def verify(
     Exit code 0: all hold; 1: one does not; 2: wrong input; 130: stopped by Ctrl-C.
     """
     with told():
-        folder = data or (Path(os.environ["FINGERJAX_DATA"]) if os.environ.get("FINGERJAX_DATA") else None)
+        folder = data_folder(data)
         chosen, skipped = choose(load_studies(file, folder), study or [])
         prepare()
         found = {}

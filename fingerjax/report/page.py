@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from fingerjax.report.loop_page import filled
+from fingerjax.report.loop_words import advice
 from fingerjax.report.records import StudyResult, Table, now, versions
 from fingerjax.report.tables import as_html
 from fingerjax.report.words import mesh_sentence
@@ -23,10 +25,16 @@ def page(results: Sequence[StudyResult], title: str = "fingerjax") -> str:
         loader=PackageLoader("fingerjax.report", "."), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"drawn": _drawn, "as_html": _table}
+    environment.filters |= {"drawn": _drawn, "as_html": _table, "diagnosed": lambda result: _diagnosed(environment, result)}
     environment.globals |= {"mesh_sentence": mesh_sentence}
     template = environment.get_template("page.html.j2")
     return template.render(title=title, results=results, versions=versions(), created=now())
+
+
+def _diagnosed(environment: Environment, result: StudyResult) -> Markup:
+    """The chapters of a diagnosis, from its record and the tables and figures that are marked with them."""
+    template = environment.get_template("loop.html.j2")
+    return Markup(template.render(one=result, advice=advice(result.loop or {}), chapters=filled(result)))
 
 
 def _table(table: Table) -> Markup:

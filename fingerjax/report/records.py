@@ -39,12 +39,16 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Table:
-    """Tidy rows under a title. Units stand at the end of the columns' names, as in a measurement file."""
+    """Tidy rows under a title. Units stand at the end of the columns' names, as in a measurement file.
+
+    `chapter`: the chapter of the page that it is shown in; empty for the study's own list.
+    """
 
     name: str
     title: str
     rows: list[Row]
     note: str = ""
+    chapter: str = ""
 
     @property
     def columns(self) -> list[str]:
@@ -53,12 +57,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing (`svg` text) with the rows that it was drawn from; `caption` says what to look at."""
+    """A drawing (`svg` text) with the rows that it was drawn from; `caption` says what to look at, `chapter` is as a table's."""
 
     name: str
     caption: str
     svg: str
     rows: list[Row]
+    chapter: str = ""
 
 
 @dataclass(frozen=True)
@@ -359,6 +364,15 @@ class RunFolder:
         folder = self.partial / f".writing-{name}"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
+        return folder
+
+    def parts(self, name: str, key: str) -> Path:
+        """A folder for what is finished of a study that is not, by a key of all that it is made from; parts of other keys are forgotten."""
+        folder = self.partial / ".kept" / f"{name}.parts" / key[:32]
+        for other in folder.parent.glob("*"):
+            if other != folder:
+                shutil.rmtree(other)
+        folder.mkdir(parents=True, exist_ok=True)
         return folder
 
     def keep(self, key: str, result: StudyResult) -> None:

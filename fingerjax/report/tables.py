@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table as RichTable
 
 from fingerjax.identify import Estimate, Sensitivity, Uncertainty
@@ -66,7 +67,7 @@ def terminal(table: Table) -> RichTable:
     for column in table.columns:
         drawn.add_column(heading(column), justify="right" if _is_number(table, column) else "left")
     for row in table.rows:
-        drawn.add_row(*(shown(row.get(column)) for column in table.columns))
+        drawn.add_row(*(escape(shown(row.get(column))) for column in table.columns))
     return drawn
 
 
