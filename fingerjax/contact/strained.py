@@ -67,7 +67,7 @@ class Indenting(AbstractLoading):
 
     def respond(self, near: Near, state: State, loads: Fields) -> State | None:
         condensed = near.solver.reduce(near.tangent, self.columns)
-        forces, travel = _slopes(
+        forces, travel = contact_slopes(
             condensed.held.matrix,
             self.interface,
             self._free(near, condensed, state),
@@ -116,7 +116,7 @@ def _contact(
 
 
 @eqx.filter_jit
-def _slopes(
+def contact_slopes(
     C: Float[Array, "p p"],
     interface: Interface,
     free: Float[Array, " p"],

@@ -49,6 +49,10 @@ class AbstractCondensed(abc.ABC):
     def readings(self, loads: Fields) -> Float[Array, "k m"]:
         """What the columns read under other nodal forces, N."""
 
+    @abc.abstractmethod
+    def answer(self, loads: Fields) -> Fields:
+        """The displacement, mm, under other nodal forces, N."""
+
 
 @eqx.filter_jit
 def _products(body: Body, directions: Float[Array, "d 2 layers"], u: Fields) -> Float[Array, "d k nodes 3"]:
@@ -66,16 +70,22 @@ def slopes(condensed: AbstractCondensed, body: Body, forces: Float[Array, "k m"]
 
 
 class ByColumns(AbstractCondensed):
-    """Every column's displacement at hand, (m, n, 3): all else is a dense product."""
+    """Every column's displacement at hand, (m, n, 3): all else but other answers is a dense product.
 
-    def __init__(self, held: Held, influence: Fields):
-        self.held, self.influence = held, influence
+    `undo`: loads (k, n, 3) -> displacements (k, n, 3).
+    """
+
+    def __init__(self, held: Held, influence: Fields, undo: Callable[[Fields], Fields]):
+        self.held, self.influence, self._undo = held, influence, undo
 
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:
         return _combined(forces, self.influence)
 
     def readings(self, loads: Fields) -> Float[Array, "k m"]:
         return _worked(loads, self.influence)
+
+    def answer(self, loads: Fields) -> Fields:
+        return self._undo(loads)
 
 
 @eqx.filter_jit
@@ -101,13 +111,16 @@ class ByFactor(AbstractCondensed):
         self._solve, self._matrix, self._free = solve, matrix, free
 
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:
-        return self._answer(np.asarray((self._matrix @ np.asarray(forces).T).T))
+        return self._flat_answer(np.asarray((self._matrix @ np.asarray(forces).T).T))
 
     def readings(self, loads: Fields) -> Float[Array, "k m"]:
         flat = np.asarray(loads).reshape(len(loads), -1)
-        return jnp.asarray((self._matrix.T @ np.asarray(self._answer(flat)).reshape(len(flat), -1).T).T)
+        return jnp.asarray((self._matrix.T @ np.asarray(self._flat_answer(flat)).reshape(len(flat), -1).T).T)
 
-    def _answer(self, loads: np.ndarray) -> Array:
+    def answer(self, loads: Fields) -> Fields:
+        return self._flat_answer(np.asarray(loads).reshape(len(loads), -1))
+
+    def _flat_answer(self, loads: np.ndarray) -> Array:
         held = self._solve(loads[:, self._free].T)
         motions = np.asarray(self.bone.motions).reshape(len(self.bone.motions), loads.shape[1])
         return self.bone.complete(jnp.asarray(held), jnp.asarray(motions @ loads.T))

@@ -2,7 +2,8 @@
 
     Pi(u) = sum over quadrature points of  w W(grad u),     f = dPi/du,     K = d2Pi/du2
 
-The law is differentiated at each point, where it has nine arguments; the sums over elements are those of the linear operator.
+The law is differentiated at each point, where it has nine arguments; the sums over elements are those of the linear operator. Energy and
+force are asked for at every step of a search, so they are found together, with arithmetic running along the points of all elements.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .body import Body
-from .operator import Lame, displacement_gradient, nodal_forces
+from .operator import Lame, accumulate, displacement_gradient
 from .tissue import AbstractTissue, volume_growth
 
 
@@ -36,7 +37,29 @@ def total_energy(body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array,
 
 def internal_force(body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     """The slope of the energy: nodal forces, N, that hold the displacement `u`; on supports these are the reactions."""
-    return nodal_forces(body, _everywhere(jax.grad(tissue.density), body, lame, u))
+    return energy_and_force(body, tissue, lame, u)[1]
+
+
+def energy_and_force(
+    body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array, "nodes 3"]
+) -> tuple[Float[Array, ""], Float[Array, "nodes 3"]]:
+    """`total_energy` and `internal_force` in one pass."""
+    (points, corners), elements, axes = body.slopes.shape[:2], len(body.layer), range(3)
+    reference = jnp.swapaxes(body.slopes, 1, 2).reshape(3 * points, corners)
+    moved = jnp.swapaxes(u[body.tets.T], 1, 2)  # a node, i direction, e element
+    seen = jax.lax.optimization_barrier(
+        (reference @ moved.reshape(corners, -1)).reshape(points, 3, 3, elements)
+    )  # q, k reference axis, i, e
+    inverse = body.inverse_along
+    gradient = jnp.stack([jnp.stack([sum(seen[:, k, i] * inverse[:, k, j] for k in axes) for j in axes]) for i in axes])
+    layer = jnp.tile(body.layer, points)
+    of_points = jax.vmap(jax.value_and_grad(tissue.density), in_axes=(2, 1, 0), out_axes=(0, 2))
+    stored, stress = of_points(jax.lax.optimization_barrier(gradient).reshape(3, 3, -1), lame[:, layer], layer)
+    weight = body.weight_along
+    pull = jax.lax.optimization_barrier(stress.reshape(3, 3, points, elements) * weight)
+    pulled = jnp.stack([jnp.stack([sum(pull[i, j] * inverse[:, k, j] for j in axes) for i in axes], axis=1) for k in axes], axis=1)
+    forces = (reference.T @ pulled.reshape(3 * points, -1)).reshape(corners, 3, elements)
+    return jnp.sum(weight * stored.reshape(points, elements)), accumulate(body, jnp.transpose(forces, (2, 0, 1)))
 
 
 def moduli(body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "elements points 3 3 3 3"]:

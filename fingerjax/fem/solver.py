@@ -23,7 +23,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float
 
 from .body import Body
-from .carried import bone_loads, let_go
+from .carried import bone_loads, carriage, let_go
 from .columns import Columns
 from .condensed import AbstractCondensed, ByColumns, Held
 from .factorised import CONVERGED, Host
@@ -85,7 +85,13 @@ def _by_columns(solver: MultigridCG | Shared, last: Last, stiffness: AbstractSti
     start = last.start(columns, columns.count + len(stiffness.body.modes))
     held, influence, matrix = _influence(solver, stiffness, columns, start)
     last.keep(columns, held)
-    return ByColumns(matrix, influence)
+    bone = carriage(stiffness, held[columns.count :])
+
+    def undo(loads: Fields) -> Fields:
+        work = bone.motions.reshape(len(bone.motions), -1) @ loads.reshape(len(loads), -1).T
+        return bone.complete(solver.held(stiffness, loads).displacement, work)
+
+    return ByColumns(matrix, influence, undo)
 
 
 @eqx.filter_jit

@@ -81,7 +81,7 @@ class Exponential(AbstractTissue):
 def volume_growth(gradient: Float[Array, "3 3"]) -> Float[Array, ""]:
     """det(I + H) - 1 without the loss of digits in the difference: the sum of H's three invariants."""
     a, b, c = gradient
-    return jnp.trace(gradient) + _second(gradient) + jnp.dot(a, jnp.cross(b, c))
+    return jnp.trace(gradient) + _second(gradient) + jnp.sum(a * jnp.cross(b, c))
 
 
 def relative_growth(x: Float[Array, ""]) -> Float[Array, ""]:

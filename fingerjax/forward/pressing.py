@@ -6,7 +6,7 @@ the way in which the readings move with the material under those forces - is all
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -53,6 +53,9 @@ class Known(eqx.Module):
         return jnp.einsum("vdij,vij->vd", self.directions, jnp.stack(moved))
 
 
+Change = Callable[[int, AbstractCondensed, Float[Array, "k m"]], Float[Array, "k d m"]]
+
+
 def settle(
     rigs: tuple[Rig, ...],
     bodies: list[AbstractCondensed],
@@ -62,15 +65,31 @@ def settle(
     values: Mapping[str, Any] = EMPTY,
 ) -> Known:
     """Decide every contact, and find how readings move with the material under the forces that it ended with."""
+
+    def change(variant: int, held: AbstractCondensed, forces: Float[Array, "k m"]) -> Float[Array, "k d m"]:
+        return slopes(held, body, forces, directions[variant])
+
+    return settle_with(rigs, bodies, directions, change, added, values)
+
+
+def settle_with(
+    rigs: tuple[Rig, ...],
+    bodies: list[AbstractCondensed],
+    directions: Float[Array, "variants d 2 layers"],
+    change: Change,
+    added: Added = NOTHING,
+    values: Mapping[str, Any] = EMPTY,
+) -> Known:
+    """The same with any `change` of the readings (k, d, m) under given forces (k, m) on the columns of a variant's body."""
     C = jnp.stack([each.held.matrix for each in bodies])
     found = [_settle(rig, C, added, dict(values)) for rig in rigs]
     slope = [np.zeros((len(forces), directions.shape[1], C.shape[1])) for _, forces in found]
     for variant, condensed in enumerate(bodies):
         chosen = [np.flatnonzero(np.asarray(rig.variant) == variant) for rig in rigs]
         forces = jnp.concatenate([forces[cases] for (_, forces), cases in zip(found, chosen, strict=True)])
-        change = np.asarray(slopes(condensed, body, forces, directions[variant]))
+        moved = np.asarray(change(variant, condensed, forces))
         ends = np.cumsum([len(cases) for cases in chosen])[:-1]
-        for each, cases, part in zip(slope, chosen, np.split(change, ends), strict=True):
+        for each, cases, part in zip(slope, chosen, np.split(moved, ends), strict=True):
             each[cases] = part
     settled = tuple(Settled(active, jnp.asarray(each)) for (active, _), each in zip(found, slope, strict=True))
     return Known(tuple(each.held for each in bodies), settled, directions)

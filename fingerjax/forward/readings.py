@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -54,32 +56,39 @@ class Instruments(eqx.Module):
         """The tissue of each variant: of every subject, say, that has moduli of its own."""
         return [self.added.material(self.wired.material(dict(labels), values), values) for labels in self.variants]
 
-    def read(self, known: Known, values: Values, quantity: str = "strain_energy_density") -> Prediction:
+    def read(
+        self,
+        known: Known,
+        values: Values,
+        quantity: str = "strain_energy_density",
+        away: Float[Array, "variants d"] | None = None,
+    ) -> Prediction:
         """Every reading at values where the solves are known; names that are missing keep the study's own.
 
-        `quantity` names what the receptor is taken to feel, one of `measure.receptor.EVERY`.
+        `quantity` names what the receptor is taken to feel, one of `measure.receptor.EVERY`. `away`: how far along the known slopes, where
+        that is not for the values to say.
         """
-        away = known.away([tissue.lame() for tissue in self.materials(values)])
+        away = known.away([tissue.lame() for tissue in self.materials(values)]) if away is None else away
+        found = [pressed(rig, each, known, away, self.added, values) for rig, each in zip(self.rigs, known.rigs, strict=True)]
+        converged, iterations, residual = (
+            jnp.stack([getattr(each, name) for each in known.held]) for name in ("converged", "iterations", "residual")
+        )
+        return self.told(found, values, Health(converged.all(), iterations.max(), residual.max()), quantity)
+
+    def told(
+        self, found: Sequence[tuple[Contact, Array]], values: Values, health: Health, quantity: str = "strain_energy_density"
+    ) -> Prediction:
+        """Every reading from the contacts of each rig, what all columns read under them (cases, m), and how well they were found."""
         readings = [jnp.zeros(length) for length in self.lengths]
         felt = [jnp.zeros(length) for length in self.lengths]
         settled, inside = jnp.asarray(True), jnp.asarray(True)
-        for rig, touching in zip(self.rigs, known.rigs, strict=True):
-            contact, observed = pressed(rig, touching, known, away, self.added, values)
+        for rig, (contact, observed) in zip(self.rigs, found, strict=True):
             settled, inside = settled & contact.settled.all(), inside & ~contact.reached_edge.any()
             value, sensed = self._rows(rig, contact, observed, values, quantity)
             read = self.added.read(Reading(value, contact.force[rig.case], contact.travel[rig.case], rig.context), values)
             readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(read.value)
             felt[rig.measurement] = felt[rig.measurement].at[rig.row].set(sensed)
-        bodies = known.held
-        return Prediction(
-            tuple(readings),
-            tuple(felt),
-            jnp.stack([each.converged for each in bodies]).all(),
-            settled,
-            inside,
-            jnp.stack([each.iterations for each in bodies]).max(),
-            jnp.stack([each.residual for each in bodies]).max(),
-        )
+        return Prediction(tuple(readings), tuple(felt), health.converged, settled, inside, health.iterations, health.residual)
 
     def _rows(self, rig: Rig, contact: Contact, observed: Array, values: Values, quantity: str) -> tuple[Array, Array]:
         if rig.kind == "force_displacement":

@@ -1,0 +1,152 @@
+"""How readings change with the law of the tissue: at the linear engine's own answer, and at any strained state.
+
+At the null of a law one linear answer is enough: its extra internal force f_phi(u) moves the free surface and every reading by
+
+    - B' K^-1 f_phi(u),
+
+with the active set held, and contact answers as to any other shift. At a strained state the implicit rule does the same with the tangent
+of each equilibrium, in the moduli too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..contact.chord import Resting, tangent_chord
+from ..contact.strained import contact_slopes
+from ..fem.body import Body
+from ..fem.condensed import AbstractCondensed
+from ..fem.energy import internal_force
+from ..fem.equilibrium import Tissue
+from ..fem.operator import Lame
+from ..fem.tissue import AbstractTissue
+from .model import Model
+from .pressing import Known, settle_with
+from .problem import Health
+from .readings import Instruments
+from .rigs import Rig
+from .strained import Strained, imposed_on, paths, place_of, rig_readings
+from .wiring import Values
+
+Vector = Float[Array, " d"]
+Law = Callable[[Vector], AbstractTissue]
+Of = Callable[[Vector], tuple[Values, AbstractTissue]]
+
+
+def law_tangent(model: Model, values: Values, law: Law, null: Vector) -> Float[Array, "rows d"]:
+    """Slopes of all readings, one measurement after the other, in the parameters of a law that is linear at `null`.
+
+    One linear condensation, and one more solve for each case and parameter, however strained the law would have them. Raises `ValueError`
+    where the law is not linear at `null`.
+    """
+    bodies, lames = [], [material.lame() for material in model.instruments.materials(values)]
+    for lame in lames:
+        bodies.append(model.solver.condense(model.body, lame, model.columns))
+
+    def change(variant: int, condensed: AbstractCondensed, forces: Float[Array, "k m"]) -> Array:
+        u = condensed.displacement(forces)
+        moved = [condensed.readings(_pushed(model.body, law, null, lames[variant], each)) for each in u]
+        return -jnp.stack(moved) if moved else jnp.zeros((0, len(null), model.columns.count))
+
+    directions = jnp.zeros((len(lames), len(null), *lames[0].shape))
+    known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
+    return _law_columns(model.instruments, known, dict(values), null)
+
+
+@eqx.filter_jit
+def _pushed(body: Body, law: Law, at: Vector, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "d nodes 3"]:
+    """Change of the internal force with each parameter of a law."""
+    slope = jax.jacfwd(lambda phi: internal_force(body, law(phi), lame, u))(at)
+    return jnp.moveaxis(slope, -1, 0)
+
+
+@eqx.filter_jit
+def _law_columns(instruments: Instruments, known: Known, values: dict, null: Vector) -> Float[Array, "rows d"]:
+    variants = len(instruments.variants)
+
+    def readings(phi: Vector) -> Array:
+        away = jnp.broadcast_to(phi, (variants, len(phi)))
+        return jnp.concatenate(instruments.read(known, values, away=away).readings)
+
+    return jax.jacfwd(readings)(jnp.zeros_like(null))
+
+
+def strained_jacobian(model: Model, of: Of, at: Vector, found: Strained) -> Float[Array, "rows d"]:
+    """Slopes of all readings at the equilibria that were `found`, by the implicit rule: one factorisation for each case.
+
+    `of` makes the values and the law from one vector, so that its parameters may be raw or natural, a law's or an afferent's; `at` is the
+    one of `found`. NaN where a case has no equilibrium.
+    """
+    values, law = of(at)
+    slopes = [np.full((len(rig.pose), len(at), model.columns.count + 2), np.nan) for rig in model.instruments.rigs]
+    for variant, material in enumerate(model.instruments.materials(values)):
+        tissue = Tissue(model.body, law, material.lame(), model.solver)
+        for number, rig in enumerate(model.instruments.rigs):
+            for pose, path in paths(rig, variant):
+                for case in path:
+                    rest = found.cases[number][case].rest
+                    if rest is not None:
+                        slopes[number][case] = _case_slopes(model, tissue, rig, (pose, case, variant), rest, of, at)
+    contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
+    return _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
+
+
+def _case_slopes(
+    model: Model, tissue: Tissue, rig: Rig, which: tuple[int, int, int], rest: Resting, of: Of, at: Vector
+) -> Float[np.ndarray, "d m_2"]:
+    """Change of every column's reading, then of the force and of the travel, with each parameter; NaN where the tangent has no answer."""
+    (pose, case, variant), nodes = which, model.columns.nodes
+    place, _ = place_of(model, rig, pose)
+    chord = tangent_chord(tissue, place, rest.displacement)
+    if chord is None:
+        return np.full((len(at), model.columns.count + 2), np.nan)
+    u = jnp.asarray(rest.displacement).reshape(nodes, 3)
+    force, push = _forces(model, of, at, variant, u)
+    moved = chord.condensed.answer(-push)
+    free = place.matrix.T @ (rest.displacement - chord(np.asarray(force).ravel()))
+    travel, pressed = imposed_on(model, of(at)[0], rig, case)
+    change, travels = contact_slopes(
+        chord.compliance,
+        place.interface,
+        jnp.asarray(free),
+        place.columns.read(moved),
+        None if travel is None else jnp.asarray(travel),
+        None if pressed is None else jnp.asarray(pressed),
+    )
+    load = (place.matrix @ np.asarray(change).T).T
+    more = chord.condensed.answer(jnp.asarray(load).reshape(-1, nodes, 3))
+    read = (model.columns.matrix().T @ np.asarray(moved + more).reshape(len(load), -1).T).T
+    return np.column_stack([read, load[:, 1::3].sum(axis=1), np.asarray(travels)])
+
+
+@eqx.filter_jit
+def _forces(
+    model: Model, of: Of, at: Vector, variant: int, u: Float[Array, "nodes 3"]
+) -> tuple[Float[Array, "nodes 3"], Float[Array, "d nodes 3"]]:
+    def force(vector: Vector) -> Array:
+        values, law = of(vector)
+        return internal_force(model.body, law, model.instruments.materials(values)[variant].lame(), u)
+
+    return force(at), jnp.moveaxis(jax.jacfwd(force)(at), -1, 0)
+
+
+@eqx.filter_jit
+def _rows(instruments: Instruments, contacts: list, slopes: list[Array], of: Of, at: Vector) -> Float[Array, "rows d"]:
+    """From the slopes of columns, forces and travels to those of the rows of each measurement."""
+    health = Health(jnp.asarray(True), jnp.asarray(0), jnp.asarray(0.0))
+
+    def readings(step: Vector) -> Array:
+        moved = []
+        for (contact, observed), slope in zip(contacts, slopes, strict=True):
+            change = jnp.einsum("d,cdm->cm", step, slope)
+            ends = contact.force + change[:, -2], contact.travel + change[:, -1]
+            moved.append((eqx.tree_at(lambda part: (part.force, part.travel), contact, ends), observed + change[:, :-2]))
+        return jnp.concatenate(instruments.told(moved, of(at + step)[0], health).readings)
+
+    return jax.jacfwd(readings)(jnp.zeros_like(at))
