@@ -100,11 +100,11 @@ CATALOGUE = (
 def diagnoses(monkeypatch: pytest.MonkeyPatch) -> Iterator[Diagnoses]:
     """A stub of the diagnosis and of the catalogue; no cache folder is touched."""
     stub = Diagnoses()
-    effects, diagnosis = ModuleType("fingerjax.effects"), ModuleType("fingerjax.forward.diagnosis")
+    effects, diagnosis = ModuleType("fingerjax.effects"), ModuleType("fingerjax.runners.diagnosing")
     effects.catalogue = lambda folder=None: CATALOGUE  # type: ignore[attr-defined]
     diagnosis.diagnose_study = stub  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "fingerjax.effects", effects)
-    monkeypatch.setitem(sys.modules, "fingerjax.forward.diagnosis", diagnosis)
+    monkeypatch.setitem(sys.modules, "fingerjax.runners.diagnosing", diagnosis)
     monkeypatch.setattr(diagnose_module, "prepare", lambda: None)
     yield stub
 
@@ -210,7 +210,7 @@ def test_what_did_not_converge_ends_with_code_1(file: Path, tmp_path: Path, diag
     bad = record("adequate")
     bad["base"]["converged"] = False
     bad["verdict"] |= {"kind": "not converged", "text": ""}
-    monkeypatch.setattr(sys.modules["fingerjax.forward.diagnosis"], "diagnose_study", lambda *a, **k: SimpleNamespace(record=lambda: bad))
+    monkeypatch.setattr(sys.modules["fingerjax.runners.diagnosing"], "diagnose_study", lambda *a, **k: SimpleNamespace(record=lambda: bad))
     shown = call("diagnose", file, "--out", tmp_path / "out")
     assert shown.exit_code == 1
     assert json.loads((tmp_path / "out/report.json").read_text())["result"]["name"] == "no_optimum"

@@ -18,7 +18,7 @@ At its null an effect changes nothing, to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -31,6 +31,7 @@ from .records import Felt, Measured, Placed, Push, Reading
 ACTS_ON = ("finger", "tissue", "support", "contact", "time", "instrument", "afferent")
 Amount = Mapping[str, Any]  # the numbers of one effect, by name
 Data = Sequence[Measured]
+Force = Callable[[Any, Any], Any]  # (Lame parameters, displacement) -> nodal forces
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,16 @@ class Effect:
         """Whether all that it does is done in compiled code, with exact derivatives."""
         return not any(self._has(method) for method in ("shape", "place", "support", "law"))
 
+    @property
+    def is_law(self) -> bool:
+        """Whether it is a law of the tissue, with an equilibrium to be found anew."""
+        return self._has("law")
+
+    @property
+    def inner(self) -> bool:
+        """Whether all that it does is to add an internal force, linear in the displacement."""
+        return not any(self._has(method) for method in ("place", "law", "material", "push", "feel", "read"))
+
     def _has(self, method: str) -> bool:
         return getattr(type(self), method) is not getattr(Effect, method)
 
@@ -108,6 +119,13 @@ class Effect:
     def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
         """Elements and supports, changed."""
         return body
+
+    def force(self, body: Body, finger: Finger, solid: LayeredSolid) -> Force | None:
+        """The internal force (n, 3), N, of a displacement (n, 3), mm, per unit of the effect at its null, at Lame parameters (2, layers).
+
+        None where the difference between two bodies says it, as it does unless the null is a support that does not give at all.
+        """
+        return None
 
     def law(self, law: AbstractTissue, amount: Amount) -> AbstractTissue:
         """The tissue's law, changed."""

@@ -15,8 +15,7 @@ class FiniteStrainEffect(Effect):
     acts_on = "tissue"
     leaves = "Deep indentations are stiffer, and the skin bulges less, than small-strain elasticity has it."
     confused_with = "strain_stiffening, contact_offset."
-    parameters = (Size("homotopy", "1", 0.5, 0.0, 1.0, sign=1, step=0.5),)
+    parameters = (Size("homotopy", "1", 0.5, 0.0, 1.0, sign=1),)
 
     def law(self, law: AbstractTissue, amount: Amount) -> AbstractTissue:
-        share = float(amount["homotopy"])
-        return law if share <= 0.0 or isinstance(law, Exponential) else FiniteStrain(jnp.asarray(share))
+        return law if isinstance(law, Exponential) else FiniteStrain(jnp.asarray(amount["homotopy"], float))

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Array
+from scipy.sparse.linalg import splu
 
 from ..fem.body import Body, reinforced
 from ..fem.springs import bed, facets, springs
+from ..fem.stiffness import Elastic
 from ..finger import Finger
 from ..geometry.sections import LayeredSolid
-from .effect import Amount, Effect, Size
+from .effect import Amount, Effect, Force, Size
 
 
 class NailCompliance(Effect):
@@ -27,3 +32,18 @@ class NailCompliance(Effect):
         under = springs(bed(facets(finger.nodes, nail), len(finger.nodes)) / compliance)
         freed = jnp.where(jnp.asarray(finger.nail), 1.0, body.free)
         return reinforced(eqx.tree_at(lambda one: one.free, body, freed), under)
+
+    def force(self, body: Body, finger: Finger, solid: LayeredSolid) -> Force:
+        """What the tissue feels when the nail yields to the force that it bears: K g, with A g = - K u on the nail, A g = 0 elsewhere."""
+        nail = finger.skin[finger.nail[finger.skin].all(axis=1)]
+        under, nodes = bed(facets(finger.nodes, nail), len(finger.nodes)), np.unique(nail)
+        unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
+        factor = splu(sp.csc_matrix(under[unknowns][:, unknowns]))
+
+        def yielding(lame: Array, u: Array) -> Array:
+            borne = np.asarray(Elastic(body, lame)(u)).ravel()[unknowns]
+            moved = np.zeros(u.size)
+            moved[unknowns] = -factor.solve(borne)
+            return Elastic(body, lame)(jnp.asarray(moved).reshape(u.shape))
+
+        return yielding

@@ -9,17 +9,16 @@ from .effect import Amount, Effect, Size
 
 
 class StrainStiffening(Effect):
-    """Exponential law of Fung (1967) with exponent b, at finite strain: the two come together in soft tissue."""
+    """Exponential law of Fung (1967) with exponent b; large strains come with it, complete where b is above two."""
 
     name = "strain_stiffening"
     acts_on = "tissue"
     leaves = "Force grows faster than contact makes it grow: too small moduli fit gentle pushes, too large ones deep pushes."
     confused_with = "contact_offset (both bend the force curve), apparatus_compliance with the other sign, bone_offset."
-    parameters = (Size("skin", "1", 5.0, 0.0, 20.0, sign=1, step=1.0), Size("deep", "1", 5.0, 0.0, 20.0, sign=1, step=1.0))
+    parameters = (Size("skin", "1", 5.0, 0.0, 15.0, sign=1), Size("deep", "1", 5.0, 0.0, 15.0, sign=1))
 
     def law(self, law: AbstractTissue, amount: Amount) -> AbstractTissue:
-        skin, deep = float(amount["skin"]), float(amount["deep"])
-        if skin <= 0.0 and deep <= 0.0:
-            return law
-        finite = law if isinstance(law, FiniteStrain) else FiniteStrain(jnp.asarray(1.0))
-        return Exponential(finite, jnp.asarray([skin, skin, deep, deep, 0.0]))
+        skin, deep = jnp.asarray(amount["skin"], float), jnp.asarray(amount["deep"], float)
+        large = jnp.tanh(skin + deep)
+        finite = FiniteStrain(jnp.maximum(large, law.homotopy) if isinstance(law, FiniteStrain) else large)
+        return Exponential(finite, jnp.stack([skin, skin, deep, deep, jnp.zeros(())]))

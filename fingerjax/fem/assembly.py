@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator
 
 import jax.numpy as jnp
@@ -9,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from .body import Body
-from .springs import Springs
 
+BODIES = 3  # whose sums are kept
 CHUNK = 20_000  # elements whose matrices are held at a time
 
 
@@ -40,7 +41,8 @@ def _volumetric(body: Body, weight: np.ndarray, slope: np.ndarray, outer: np.nda
 
 
 class Assembled:
-    """Sparse stiffness between free degrees of freedom, refilled for other moduli without looking at the pattern again.
+    """Sparse stiffness between free degrees of freedom, refilled for other moduli, and for other bodies of the same elements, without
+    looking at the pattern again.
 
     `upper` keeps the upper triangle alone, as a symmetric factorisation wants it.
     """
@@ -59,23 +61,39 @@ class Assembled:
         self._slot[pattern.data - 1] = np.arange(pattern.nnz)
         self._block = block.reshape(len(tets), tets.shape[1], tets.shape[1])
         self._pattern, self.upper, self.unknowns = pattern, upper, 3 * nodes
-        self._sum(body)
+        self.body = body
+        self._sums: OrderedDict[tuple[int, int], tuple[Body, np.ndarray, np.ndarray]] = OrderedDict()
+        self._place_elements(np.asarray(body.layer))
 
-    def _sum(self, body: Body) -> None:
-        """Add up the elements of each layer once: refilling then costs little more than reading the matrix."""
+    def _place_elements(self, of: np.ndarray) -> None:
+        """Where the entries of each layer's elements are added up: refilling then costs little more than reading the matrix."""
         place = self._slot[_entries(self._block)]
-        used = place >= 0
-        layer = np.repeat(np.asarray(body.layer), used.size // len(body.layer))[used]
-        key = layer * np.int64(self._pattern.nnz) + place[used]
+        self._used = place >= 0
+        layer = np.repeat(of, self._used.size // len(of))[self._used]
+        key = layer * np.int64(self._pattern.nnz) + place[self._used]
         kept, where = np.unique(key, return_inverse=True)
+        self._where = where.astype(np.int32)
         self._layer, self._place = np.divmod(kept, self._pattern.nnz)
-        self._volumetric, self._shear = (np.bincount(where, part.ravel()[used]) for part in element_matrices(body))
 
-    def matrix(self, lame: np.ndarray, springs: Springs | None = None) -> sp.csr_matrix:
-        """The stiffness, N/mm, for Lame parameters (2, layers), MPa, and of springs between nodes of the same elements."""
+    def _summed(self, body: Body) -> tuple[np.ndarray, np.ndarray]:
+        """Volumetric and shear stiffness of a body with these elements and supports, added up; the last few bodies' are kept."""
+        key = id(body.weight_along), id(body.inverse_along)
+        if key not in self._sums:
+            while len(self._sums) >= BODIES:
+                self._sums.popitem(last=False)
+            volumetric, shear = (np.bincount(self._where, part.ravel()[self._used], len(self._place)) for part in element_matrices(body))
+            self._sums[key] = body, volumetric, shear
+        self._sums.move_to_end(key)
+        return self._sums[key][1:]
+
+    def matrix(self, lame: np.ndarray, body: Body | None = None) -> sp.csr_matrix:
+        """The stiffness, N/mm, for Lame parameters (2, layers), MPa; `body`: another one with the same elements and supports."""
+        body = self.body if body is None else body
+        volumetric, shear = self._summed(body)
         lam, mu = np.asarray(lame)[:, self._layer]
-        data = np.bincount(self._place, lam * self._volumetric + mu * self._shear, self._pattern.nnz)
-        if springs is not None:
+        data = np.bincount(self._place, lam * volumetric + mu * shear, self._pattern.nnz)
+        if body.springs is not None:
+            springs = body.springs
             place, kept = self._sought(np.asarray(springs.row), np.asarray(springs.column))
             data += np.bincount(place, np.asarray(springs.at(jnp.asarray(lame)))[kept], self._pattern.nnz)
         return self._holding(data)

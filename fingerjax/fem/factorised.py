@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
@@ -22,7 +23,9 @@ PROBES = 8  # random combinations of all loads in which a factorisation's residu
 
 
 class Host:
-    """The assembled pattern of one body and the last factorisation done with it; lives outside compiled code."""
+    """The assembled pattern of one body, or of several that share elements and supports, and the last factorisation done with it; lives
+    outside compiled code.
+    """
 
     def __init__(self, body: Body):
         self.body, self.assembled = body, Assembled(body, upper=True)
@@ -120,7 +123,9 @@ class Host:
 
 def _same(one: AbstractStiffness | None, other: AbstractStiffness) -> bool:
     if isinstance(one, Elastic) and isinstance(other, Elastic):
-        return np.array_equal(np.asarray(one.lame), np.asarray(other.lame))
+        parts = zip(jax.tree.leaves(one.body), jax.tree.leaves(other.body), strict=False)
+        alike = all(part is other_part for part, other_part in parts) and (one.body.springs is None) == (other.body.springs is None)
+        return alike and np.array_equal(np.asarray(one.lame), np.asarray(other.lame))
     return one is other
 
 

@@ -49,7 +49,7 @@ class Elastic(AbstractStiffness):
         return elastic + springs.force(constant, u)
 
     def matrix(self, pattern: Assembled) -> sp.csr_matrix:
-        return pattern.matrix(np.asarray(self.lame), self.body.springs)
+        return pattern.matrix(np.asarray(self.lame), self.body)
 
 
 class Tangent(AbstractStiffness):

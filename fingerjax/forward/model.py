@@ -217,8 +217,10 @@ def _pooled(measurement: Measurement) -> float | None:
     return float(np.sqrt(spread / freedom)) if freedom >= 3 and spread > 0 else None
 
 
-def assemble(study: Study, *, solver: str = "auto", tell: Tell = unheard) -> Assembled:
+def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, tell: Tell = unheard) -> Assembled:
     """Mesh a study's finger and lay its measurements out on it. `tell(share, what)` hears of the progress.
+
+    `size`: elements so many times as large as the study's own, everywhere.
 
     **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
     outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
@@ -227,14 +229,20 @@ def assemble(study: Study, *, solver: str = "auto", tell: Tell = unheard) -> Ass
     _check_labels(study, wired)
     planned = plans(study.measurements, solid, wired)
     tell(0.9, "meshing")
-    finger = mesh_of(study, solid, foci(planned, solid, study.finger.resolution.pad_mm))
+    finger = mesh_of(study, solid, foci(planned, solid, study.finger.resolution.pad_mm), size)
     return lay_out(study, solid, finger, wired, solver)
 
 
 def lay_out(
-    study: Study, solid: LayeredSolid, finger: Finger, wired: Wiring, solver: str = "auto", effects: Effects = NONE
+    study: Study,
+    solid: LayeredSolid,
+    finger: Finger,
+    wired: Wiring,
+    solver: str | AbstractSolver = "auto",
+    effects: Effects = NONE,
 ) -> Assembled:
-    """A study on a mesh that is already there, with effects in it.
+    """A study on a mesh that is already there, with effects in it. `solver`: its kind, or that of a body with the same elements and
+    supports.
 
     **Raises** `ValueError` where an effect turns elements inside out.
     """
@@ -245,7 +253,7 @@ def lay_out(
     laid = lay([plan.changed(effects) for plan in plans(study.measurements, solid, wired)], finger, tissue, solid)
     model = Model(
         body=tissue,
-        solver=solver_for(tissue, solver),
+        solver=solver_for(tissue, solver) if isinstance(solver, str) else solver,
         columns=columns_from_matrix(laid.columns),
         instruments=Instruments(
             rigs=laid.rigs,

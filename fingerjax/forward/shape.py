@@ -50,12 +50,14 @@ def solid_of(study: Study, tell: Tell = unheard) -> LayeredSolid:
     return layered(_outline(study, tell), _plan(study), nail, study.name)
 
 
-def mesh_of(study: Study, solid: LayeredSolid, focus: tuple[Focus, ...] = ()) -> Finger:
+def mesh_of(study: Study, solid: LayeredSolid, focus: tuple[Focus, ...] = (), size: float = 1.0) -> Finger:
     """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for."""
     said = study.finger
     if said.mesh is not None:
         return read_mesh(_there(study.shape, said.mesh.file), _nail(study), said.mesh.unit, study.name)[0]
-    return build_finger(solid, Resolution(said.resolution.pad_mm, said.resolution.proximal_mm), focus, said.mesher)
+    resolution = Resolution(size * said.resolution.pad_mm, size * said.resolution.proximal_mm)
+    focus = tuple(dataclasses.replace(one, size=size * one.size) for one in focus)
+    return build_finger(solid, resolution, focus, said.mesher)
 
 
 def _nail(study: Study) -> Patch | None:

@@ -110,7 +110,7 @@ def paths(rig: Rig, variant: int) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def imposed_on(model: Model, values: Values, rig: Rig, case: int) -> Imposed:
-    """What is imposed in a case, with effects on the push. **Raises** `ValueError` for an apparatus that gives way: not with this tissue."""
+    """What is imposed in a case, with effects on the push. **Raises** `ValueError` for an apparatus that gives way."""
     geometry = jax.tree.map(lambda leaf: leaf[rig.pose[case]], rig.interface)
     said = Push(rig.imposed[case], geometry.overlap, geometry.area, jnp.zeros(()), rig.forced, rig.context.measurement)
     push = model.instruments.added.push(said, values)

@@ -14,10 +14,12 @@ from ..loop.diagnosis import diagnose
 from ..loop.record import Diagnosis
 from ..loop.refit import forget
 from ..study import Study
-from .subject import FingerSubject, at_size
+from .subject import FingerSubject
 
 FINER = 0.62  # of the element size: about four times the nodes
-LARGEST = 60_000  # nodes of the finer mesh
+WORKING = 12_000  # nodes of the mesh that is fitted on, at most
+GROWTH = 1.3  # power by which nodes grow as elements shrink: thin layers keep theirs
+LARGEST = 60_000  # nodes of the finer one
 
 
 def diagnose_study(
@@ -52,11 +54,18 @@ def subject_of(
     solver: str = "auto",
     tell: Tell = unheard,
 ) -> FingerSubject:
-    """A study made ready for the loop, on its mesh and on a finer one where that is small enough."""
+    """A study made ready for the loop, on two meshes: its own, and a finer one; where its own is large, on a coarser one and its own."""
     asked = chosen(effects, catalogue(folder))
-    ready = assemble(study, solver=solver, tell=lambda share, what: tell(0.4 * share, what))
-    subject = FingerSubject(ready, asked, solver=solver)
-    if study.finger.mesh is None and len(ready.mesh.nodes) / FINER**3 <= LARGEST:
-        tell(0.4, "meshing again, finer")
-        subject.refine(assemble(at_size(study, FINER), solver=solver, tell=lambda share, what: tell(0.4 + 0.6 * share, what)))
+    own = assemble(study, solver=solver, tell=lambda share, what: tell(0.4 * share, what))
+    coarser = max(1.0, (len(own.mesh.nodes) / WORKING) ** (1 / GROWTH))
+    if study.finger.mesh is not None:
+        return FingerSubject(own, asked, solver=solver)
+    tell(0.4, "meshing again")
+    if coarser > 1 / FINER**0.5:
+        subject = FingerSubject(assemble(study, solver=solver, size=coarser), asked, solver=solver)
+        subject.refine(own)
+        return subject
+    subject = FingerSubject(own, asked, solver=solver)
+    if len(own.mesh.nodes) / FINER**3 <= LARGEST:
+        subject.refine(assemble(study, solver=solver, size=FINER))
     return subject

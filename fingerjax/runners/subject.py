@@ -17,12 +17,17 @@ from ..effects import Effect
 from ..effects.added import Effects
 from ..effects.effect import Column as Way
 from ..errors import InputError
+from ..fem.solver import AbstractSolver, solver_for
+from ..fem.tissue import AbstractTissue, Linear
+from ..forward.inner import Force, between, inner_slopes, model_body, of_law
 from ..forward.model import Assembled, lay_out
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
+from ..forward.strained import Strained, strained_readings
+from ..forward.strained_slopes import strained_jacobian
 from ..loop.subject import AbstractSubject, Column, Evaluation, Family
 from ..parameters import Parameter
-from ..study import Prior, Study
+from ..study import Prior
 from .rows import rows_of
 
 Amounts = dict[str, dict[str, float]]  # effect -> its numbers
@@ -52,22 +57,28 @@ class FingerSubject(AbstractSubject):
         self._ways = {column.key: column for family in self.families for column in (*family.columns, *family.second)}
         self._made: OrderedDict[str, Assembled | None] = OrderedDict()
         self._fine: Assembled | None = None
+        self._last: dict[int, Strained] = {}
+        self._solvers: dict[tuple[int, bytes], AbstractSolver] = {}
 
     def evaluate(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
         amounts = self._amounts(phi)
         inside, outside = ([key for key in moving if self._is_compiled(key) is here] for here in (True, False))
-        found = self._linearised(self._model(amounts), raw, amounts, tuple(inside))
+        model = self._model(amounts)
+        if model is not None and self._strained(amounts):
+            return self._with_law(model, raw, amounts, phi, moving)
+        found = self._linearised(model, raw, amounts, tuple(inside))
         if found is None:
             return self._failed(len(raw), len(moving))
         value, slopes = found
         theta, compiled = slopes[:, : len(raw)], dict(zip(inside, slopes[:, len(raw) :].T, strict=True))
-        made = {key: self._difference(raw, phi, key, value) for key in outside}
+        made = self._inner_slopes(raw, phi, [key for key in outside if self._is_inner(key)])
+        made |= {key: self._difference(raw, phi, key, value) for key in outside if key not in made}
         together = compiled | made
         columns = [together[key] for key in moving]
         return Evaluation(value, theta, np.stack(columns, axis=1) if columns else np.zeros((len(value), 0)))
 
     def columns(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float] | None = None) -> Mapping[str, Float[np.ndarray, " rows"]]:
-        phi = dict(phi or {})
+        phi = {key: value for key, value in (phi or {}).items() if not self._is_law(key)}  # their own slopes move little with a law
         amounts = self._amounts(phi)
         base = self._value(raw, phi)
         if base is None:
@@ -78,6 +89,7 @@ class FingerSubject(AbstractSubject):
             linear = self._linearised(self._model(amounts), raw, self._amounts(phi | dict.fromkeys(keys, 0.0), at_null=True), tuple(keys))
             if linear is not None:
                 found |= dict(zip(keys, linear[1][:, len(raw) :].T, strict=True))
+        found |= self._inner_slopes(raw, phi, [key for key in self._ways if self._is_inner(key) or self._is_law(key)])
         rest = [key for key in self._ways if key not in found]
         for number, key in enumerate(rest):
             self.tell(number / len(rest), f"what {self._ways[key].family} would leave")
@@ -87,7 +99,13 @@ class FingerSubject(AbstractSubject):
     def finer(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Float[np.ndarray, " rows"] | None:
         if self._fine is None:
             return None
-        return self._value_of(_with(self._fine, self._effects(self._amounts(phi)), self.solver), raw, self._amounts(phi))
+        amounts = self._amounts({key: value for key, value in phi.items() if not self._is_law(key)})
+        made = Effects(self.compiled, self._made_of(amounts))
+        fine = self._value_of(self._changed(self._fine, made), raw, amounts)
+        if fine is None or not self._strained(self._amounts(phi)):
+            return fine
+        linear, strained = self._value_of(self._model(amounts), raw, amounts), self._value(raw, phi)
+        return None if linear is None or strained is None else strained + fine - linear  # the mesh's error is that of the linear model
 
     def refine(self, fine: Assembled) -> None:
         """Give the subject a finer mesh to check itself against."""
@@ -114,12 +132,22 @@ class FingerSubject(AbstractSubject):
         return {name: self.effects[name].null() | numbers for name, numbers in found.items()}
 
     def _effects(self, amounts: Amounts) -> Effects:
-        made = tuple((self.effects[name], numbers) for name, numbers in amounts.items() if not self.effects[name].traced)
-        return Effects(self.compiled, made)
+        return Effects(self.compiled, self._made_of(amounts))
+
+    def _made_of(self, amounts: Amounts) -> tuple[tuple[Effect, dict[str, float]], ...]:
+        """Effects that make another model, with their amounts."""
+        return tuple((self.effects[name], numbers) for name, numbers in amounts.items() if not self.effects[name].traced)
+
+    def _is_law(self, key: str) -> bool:
+        return self.effects[self._ways[key].family].is_law
+
+    def _strained(self, amounts: Amounts) -> bool:
+        """Whether the tissue follows another law than Hooke's."""
+        return any(self.effects[name].is_law and numbers != self.effects[name].null() for name, numbers in amounts.items())
 
     def _model(self, amounts: Amounts) -> Assembled | None:
         """The study's model with these amounts of the effects that change it; None where they cannot be."""
-        made = {name: numbers for name, numbers in amounts.items() if not self.effects[name].traced}
+        made = {name: numbers for name, numbers in amounts.items() if not self.effects[name].traced and not self.effects[name].is_law}
         made = {name: numbers for name, numbers in made.items() if numbers != self.effects[name].null()}
         if not made:
             return self.base
@@ -128,11 +156,22 @@ class FingerSubject(AbstractSubject):
             while len(self._made) >= KEPT:
                 self._made.popitem(last=False)
             try:
-                self._made[key] = _with(self.base, self._effects(made), self.solver)
+                self._made[key] = self._changed(self.base, self._effects(made))
             except ValueError:
                 self._made[key] = None
         self._made.move_to_end(key)
         return self._made[key]
+
+    def _changed(self, ready: Assembled, effects: Effects) -> Assembled:
+        """A model with effects in it, and the solver of one that has the same nodes free where there was one."""
+        made = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, ready.model.solver, effects)
+        free = np.asarray(made.model.body.free)
+        if np.array_equal(free, np.asarray(ready.model.body.free)):
+            return made
+        key = (len(free), free.tobytes())
+        if key not in self._solvers:
+            self._solvers = {key: solver_for(made.model.body, self.solver)}
+        return dataclasses.replace(made, model=dataclasses.replace(made.model, solver=self._solvers[key]))
 
     def _values(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> dict[str, Any]:
         numbers = {f"{name}.{number}": jnp.asarray(value) for name, each in amounts.items() for number, value in each.items()}
@@ -162,9 +201,78 @@ class FingerSubject(AbstractSubject):
 
     def _value_of(self, model: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
         values = self._values(raw, amounts)
-        prediction = _predicted(model.model.solved(values), values)
+        if self._strained(amounts):
+            found = self._followed(model, values, self._effects(amounts).law(Linear()))
+            if found is None:
+                return None
+            prediction = found.prediction
+        else:
+            prediction = _predicted(model.model.solved(values), values)
         value = np.concatenate([np.asarray(each) for each in prediction.readings])
         return value if bool(prediction.health.converged) and np.isfinite(value).all() else None
+
+    def _followed(self, model: Assembled, values: dict[str, Any], law: AbstractTissue) -> Strained | None:
+        """All equilibria of tissue of a law, begun at the last ones on this model."""
+        try:
+            found = strained_readings(model.model, values, law, start=self._last.get(id(model)))
+        except ValueError:
+            return None
+        if bool(found.prediction.health.converged):
+            self._last = {id(model): found}
+        return found
+
+    def _with_law(
+        self, model: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts, phi: Mapping[str, float], moving: tuple[str, ...]
+    ) -> Evaluation:
+        """The same for tissue of another law: parameters of materials and laws by the implicit rule, other effects by differences."""
+        laws = [key for key in moving if self._is_law(key)]
+        values = self._values(raw, amounts)
+        found = self._followed(model, values, self._effects(amounts).law(Linear()))
+        if found is None or not bool(found.prediction.health.converged):
+            return self._failed(len(raw), len(moving))
+
+        def of(at: Array) -> tuple[dict[str, Any], AbstractTissue]:
+            named = {one.name: one.natural(at[number]) for number, one in enumerate(self.parameters)}
+            said = {name: dict(numbers) for name, numbers in amounts.items()}
+            for number, key in enumerate(laws):
+                said[self._ways[key].family][self._ways[key].name] = at[len(raw) + number]
+            return values | named, self._effects(said).law(Linear())
+
+        at = jnp.asarray([*raw, *(phi[key] for key in laws)])
+        slopes = np.asarray(strained_jacobian(model.model, of, at, found))
+        value = np.concatenate([np.asarray(each) for each in found.prediction.readings])
+        others = {key: self._difference(raw, phi, key, value) for key in moving if key not in laws}
+        columns = [slopes[:, len(raw) + laws.index(key)] if key in laws else others[key] for key in moving]
+        return Evaluation(value, slopes[:, : len(raw)], np.stack(columns, axis=1) if columns else np.zeros((len(value), 0)))
+
+    def _is_inner(self, key: str) -> bool:
+        """Whether an effect is in the internal force, so that one linear answer gives its slope."""
+        return self.effects[self._ways[key].family].inner
+
+    def _inner_slopes(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], keys: list[str]) -> dict[str, np.ndarray]:
+        """Slopes of every row in effects that add an internal force f(u): - B' K^-1 f(u), contacts held as they are."""
+        amounts = self._amounts(phi)
+        model = self._model(amounts)
+        if not keys or model is None:
+            return {}
+        forces = [self._force_of(model, amounts, key) for key in keys]
+        values = self._values(raw, amounts)
+        columns = inner_slopes(model.model, values, forces)
+        return {key: np.asarray(column) for key, column in zip(keys, columns.T, strict=True)}
+
+    def _force_of(self, model: Assembled, amounts: Amounts, key: str) -> Force:
+        """The internal force per unit of an effect, where the model is."""
+        way = self._ways[key]
+        effect, numbers = self.effects[way.family], amounts.get(way.family, self.effects[way.family].null())
+        if effect.is_law:
+            return of_law(model.model.body, lambda size: effect.law(Linear(), numbers | {way.name: size}), numbers[way.name])
+        at_null = numbers[way.name] == way.null
+        if at_null and (own := effect.force(model.model.body, model.finger, model.solid)) is not None:
+            return own
+        step = (way.step if way.step is not None and at_null else NEAR * way.scale) * (1 if numbers[way.name] < way.upper else -1)
+        there = amounts | {way.family: numbers | {way.name: numbers[way.name] + step}}
+        body = model_body(model, self._effects({name: each for name, each in there.items() if not self.effects[name].traced}))
+        return between(model.model.body, body, step)
 
     def _difference(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         way = self._ways[key]
@@ -258,10 +366,3 @@ def _sensitive(
 
     value, along, sound = jax.linearize(read, raw, others, has_aux=True)
     return value, jax.vmap(along)(*ways), sound
-
-
-def at_size(study: Study, share: float) -> Study:
-    """The study on a mesh whose elements are `share` times as large."""
-    said = study.finger.resolution
-    finer = said.model_copy(update={"pad_mm": share * said.pad_mm, "proximal_mm": share * said.proximal_mm})
-    return dataclasses.replace(study, finger=study.finger.model_copy(update={"resolution": finer}))

@@ -1,0 +1,89 @@
+"""How readings change with an internal force that the model lacks: one linear answer, whatever the force is a function of.
+
+A force f(u) per unit of what is missing moves the free surface and every other reading by - B' K^-1 f(u); the indenter then rests on it as
+on any other shift, with the contacts held as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..effects.added import Effects
+from ..fem.body import Body, body
+from ..fem.condensed import AbstractCondensed
+from ..fem.energy import internal_force
+from ..fem.stiffness import Elastic
+from ..fem.tissue import AbstractTissue
+from .model import Assembled, Model
+from .pressing import Known, settle_with
+from .readings import Instruments
+from .wiring import Values
+
+Field = Float[Array, "nodes 3"]
+Force = Callable[[Float[Array, "2 layers"], Field], Field]
+
+
+def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float[Array, "rows d"]:
+    """Slopes of every row, measurement after measurement, in amounts of internal forces that the linear model lacks."""
+    lames = [material.lame() for material in model.instruments.materials(values)]
+    bodies = [model.solver.condense(model.body, lame, model.columns) for lame in lames]
+
+    def change(variant: int, condensed: AbstractCondensed, pushed: Float[Array, "k m"]) -> Array:
+        found = [condensed.readings(jnp.stack([force(lames[variant], u) for force in forces])) for u in condensed.displacement(pushed)]
+        return -jnp.stack(found) if found else jnp.zeros((0, len(forces), model.columns.count))
+
+    directions = jnp.zeros((len(lames), len(forces), *lames[0].shape))
+    known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
+    return slopes_of(model.instruments, known, dict(values), len(forces))
+
+
+@eqx.filter_jit
+def slopes_of(instruments: Instruments, known: Known, values: dict[str, Array], count: int) -> Float[Array, "rows d"]:
+    """Slopes of every row along the known directions."""
+
+    def readings(share: Float[Array, " d"]) -> Array:
+        away = jnp.broadcast_to(share, (len(instruments.variants), count))
+        return jnp.concatenate(instruments.read(known, values, away=away).readings)
+
+    return jax.jacfwd(readings)(jnp.zeros(count))
+
+
+def between(one: Body, other: Body, step: float) -> Force:
+    """What the second body's internal force has more than the first's, per unit of the `step` between them."""
+
+    def more(lame: Float[Array, "2 layers"], u: Field) -> Field:
+        return _difference(one, other, lame, u) / step
+
+    return more
+
+
+@eqx.filter_jit
+def _difference(one: Body, other: Body, lame: Float[Array, "2 layers"], u: Field) -> Field:
+    return Elastic(other, lame)(u) - Elastic(one, lame)(u)
+
+
+def of_law(body: Body, law: Callable[[Array], AbstractTissue], null: float) -> Force:
+    """Change of the internal force with the one parameter of a law, where that is linear elasticity."""
+
+    def more(lame: Float[Array, "2 layers"], u: Field) -> Field:
+        return _slope_of_law(body, law, jnp.asarray(null), lame, u)
+
+    return more
+
+
+@eqx.filter_jit
+def _slope_of_law(body: Body, law: Callable, null: Array, lame: Float[Array, "2 layers"], u: Field) -> Field:
+    return jax.jvp(lambda size: internal_force(body, law(size), lame, u), (null,), (jnp.ones(()),))[1]
+
+
+def model_body(ready: Assembled, effects: Effects) -> Body:
+    """The body of a study with effects on it, and nothing laid out on it."""
+    bone = ready.study.model.bone_kind()
+    finger = effects.shape(ready.mesh, ready.solid)
+    finger = finger if bone == "elastic" else finger.without_bone()
+    return effects.support(body(finger, bone=bone), finger, ready.solid)
