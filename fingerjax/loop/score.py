@@ -206,7 +206,7 @@ def imitation(parameters: tuple[Parameter, ...], shift: Float[np.ndarray, "p"], 
         for one, size in sorted(pairs, key=lambda pair: -abs(pair[1]))
     )
     unit = "" if column.unit == "1" else f" {column.unit}"
-    return f"{column.null + column.scale:g}{unit} of it would pass for {moved}"
+    return f"{column.null + column.scale:g}{unit} would pass for {moved}"
 
 
 def combined(
