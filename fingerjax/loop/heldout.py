@@ -40,32 +40,36 @@ def in_role(rows: Rows, roles: dict[str, str], role: str) -> Bool[np.ndarray, "r
 def veto(base: Optimum, other: Optimum, held: Bool[np.ndarray, "rows"]) -> float:
     """By how much chi-square of held-out conditions grows from the base to an explanation: of `held`, or where that is empty of the
     conditions that were fitted, left out in turn. NaN where there is only one of them.
+
+    What a prediction does not know of its own parameters counts as noise, so that only what is wrong and sure of itself is worse.
     """
-    if held.any():
-        return _chi2(other, other.sample.error(other.at), held) - _chi2(base, base.sample.error(base.at), held)
-    names = base.sample.subject.rows.condition
-    turns = [base.sample.chosen & (names == name) for name in dict.fromkeys(names[base.sample.chosen].tolist())]
-    if len(turns) < 2:
+    names, chosen = base.sample.subject.rows.condition, base.sample.chosen
+    turns = [held] if held.any() else [chosen & (names == name) for name in dict.fromkeys(names[chosen].tolist())]
+    if len(turns) < 2 and not held.any():
         return math.nan
-    return sum(_chi2(other, leave_out(other, turn), turn) - _chi2(base, leave_out(base, turn), turn) for turn in turns)
+    return sum(surprise(other, turn) - surprise(base, turn) for turn in turns)
 
 
-def _chi2(at: Optimum, error: Float[np.ndarray, "rows"], where: Bool[np.ndarray, "rows"]) -> float:
-    return float(np.sum(Whitener.of(at.sample.covariance[np.ix_(where, where)])(error[where]) ** 2))
+def surprise(best: Optimum, turn: Bool[np.ndarray, "rows"]) -> float:
+    """Chi-square of rows as predicted without them: one Gauss-Newton step away, exact for a linear model."""
+    error, slopes, spread = leave_out(best, turn)
+    known = best.sample.covariance[np.ix_(turn, turn)] + slopes[turn] @ spread @ slopes[turn].T
+    return float(np.sum(Whitener.of(known)(error[turn]) ** 2))
 
 
-def leave_out(best: Optimum, turn: Bool[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
-    """(rows,) data less prediction of a fit that did not see some of its rows: one Gauss-Newton step away, exact for a linear model."""
+def leave_out(
+    best: Optimum, turn: Bool[np.ndarray, "rows"]
+) -> tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "rows q"], Float[np.ndarray, "q q"]]:
+    """(data less prediction of a fit that did not see some of its rows, derivative of the prediction, covariance of that fit)."""
     sample, p = best.sample, len(best.raw)
-    rest = sample.chosen & ~turn
     scales = np.array([column.scale for column in best.columns])
-    slopes = np.concatenate([best.at.theta_jacobian, best.at.phi_jacobian * scales], axis=1)
+    slopes = np.where(best.free, np.concatenate([best.at.theta_jacobian, best.at.phi_jacobian * scales], axis=1), 0.0)
+    error, rest = sample.error(best.at), sample.chosen & ~turn
     whiten = Whitener.of(sample.covariance[np.ix_(rest, rest)])
-    error = sample.error(best.at)
     priors = len(sample.subject.priors)
     sizes = np.array([(best.phi[column.key] - column.null) / column.scale for column in best.columns])
-    below = np.concatenate([np.zeros((len(sizes), p)), np.eye(len(sizes))], axis=1)
-    jacobian = np.concatenate([whiten(slopes[rest]), best.jacobian[best.jacobian.shape[0] - priors :], below])
+    below = np.where(best.free, np.concatenate([np.zeros((len(sizes), p)), np.eye(len(sizes))], axis=1), 0.0)
+    jacobian = np.concatenate([whiten(slopes[rest]), best.jacobian[best.jacobian.shape[0] - priors :] * best.free, below])
     residual = np.concatenate([whiten(error[rest]), best.residual[best.residual.size - priors :], -sizes])
-    step = np.where(best.free, Projection.of(np.where(best.free, jacobian, 0.0)).inverse @ residual, 0.0)
-    return error - slopes @ step
+    projection = Projection.of(jacobian)
+    return error - slopes @ (projection.inverse @ residual), slopes, projection.covariance()

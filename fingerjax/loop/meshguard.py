@@ -6,6 +6,9 @@ with coordinates in thirds of their range, rows of two conditions of a block hal
 what may be left could look like one:
 
     lambda = |Q L^-1 rho D|^2 <= 1   and   |J^+ L^-1 rho D| <= 0.2 standard deviations of every parameter
+
+A misfit is the mesh's own where lambda is too large and an error twice as large as D would make as much of it: a mesh that converges in
+first order leaves as much as D.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from jaxtyping import Float
 
 from .refit import Optimum
 from .subject import Rows
+from .whitening import Projection
 
 RHO = 0.25
 LARGEST_LAMBDA, LARGEST_SHIFT = 1.0, 0.2
@@ -30,6 +34,7 @@ class MeshGuard:
     """What is known of the mesh.
 
     - `offset` (rows,): D. `left` (rows, rows): Sigma_disc.
+    - `reach`: misfit, in the noise alone, that an error of twice D would make, and `misfit` what there is above chance.
     - `excess`: lambda; `shift` (p,): of the raw parameters in standard deviations; `raw_shift` (p,): the same in raw numbers.
     """
 
@@ -38,12 +43,24 @@ class MeshGuard:
     excess: float
     shift: Float[np.ndarray, "p"]
     raw_shift: Float[np.ndarray, "p"]
+    reach: float = 0.0
+    misfit: float = 0.0
     rho: float = RHO
     checked: bool = True
 
     @property
     def passed(self) -> bool:
         return not self.checked or (self.excess <= LARGEST_LAMBDA and bool((np.abs(self.shift) <= LARGEST_SHIFT).all()))
+
+    @property
+    def blind(self) -> bool:
+        """Whether what is left may look like an effect, or only like another value of a parameter."""
+        return self.checked and self.excess > LARGEST_LAMBDA
+
+    @property
+    def guilty(self) -> bool:
+        """Whether the mesh could have made all of the misfit."""
+        return self.blind and self.misfit <= self.reach
 
     @property
     def gate(self) -> str:
@@ -90,4 +107,9 @@ def guard(best: Optimum, offset: Float[np.ndarray, "rows"], left: Float[np.ndarr
     raw = (best.projection.inverse @ whitened)[:p]
     sd = np.sqrt(np.diag(best.projection.covariance()))[:p]
     shift = np.divide(raw, sd, out=np.zeros(p), where=sd > 0)
-    return MeshGuard(offset, left, float(np.sum(best.projection(whitened) ** 2)), shift, raw, rho)
+    bare = sample.corrected(offset, -left)
+    projection = Projection.of(bare.jacobian(best.at, best.raw))
+    reach = 4.0 * float(np.sum(projection(bare.columns(offset[:, None])[:, 0]) ** 2))
+    residual = projection(bare.residual(best.at, best.raw))
+    misfit = float(np.sum(residual**2)) - (residual.size - projection.rank)
+    return MeshGuard(offset, left, float(np.sum(best.projection(whitened) ** 2)), shift, raw, reach, misfit, rho)

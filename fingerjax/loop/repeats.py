@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import optimize, stats
 
-TURN = 2.5  # standard deviations from which on a row counts less
+TURN = 2.0  # standard deviations from which on a row counts less
 ROUNDS = 6  # of weights, traces and sizes in turn
 SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be told from noise
 FLAT = 0.1  # of a trace: smaller over larger singular value of (gain, zero), where its values differ by less than a fifth
@@ -161,7 +161,7 @@ class _Block:
         """
         if not split.pairs:
             return np.zeros((2, 2)), np.zeros((2, 2))
-        where = {one: (self.condition[self.traces == one][0], self.trial[self.traces == one][0]) for one in split.pairs}
+        where = {one: tuple(int(code[self.traces == one][0]) for code in (self.condition, self.trial)) for one in split.pairs}
         metric, noise, whole = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
         for one, pair in split.pairs.items():
             rows = (self.traces == one) & (self.count > 1)
@@ -201,7 +201,7 @@ def _law(
 
 
 def _between(
-    pairs: dict[int, np.ndarray], where: dict[int, tuple[int, int]], count: np.ndarray, traces: np.ndarray
+    pairs: dict[int, np.ndarray], where: dict[int, tuple[int, ...]], count: np.ndarray, traces: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Mean product of the traces of one trial in two conditions, and the number of trials that have two."""
     total, met, trials = np.zeros((2, 2)), 0, set()

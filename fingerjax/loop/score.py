@@ -106,7 +106,9 @@ def rank(best: Optimum, families: Sequence[Family], columns: Mapping[str, Float[
     **Arguments:** `columns`: key -> (rows,) in the units of the rows per unit of the effect, as the subject gives them.
     """
     work = _Work.of(best, [column for family in families for column in family.columns], columns)
-    scores = tuple(sorted((work.score(family) for family in families), key=lambda score: (not score.testable, -score.statistic)))
+    scores = tuple(
+        sorted((work.score(family) for family in families), key=lambda score: (not score.testable, -score.statistic, abs(score.z)))
+    )
     return Ranking(scores, tuple((node.columns, work.block(node.columns)) for score in scores for node in score.nodes))
 
 
@@ -206,7 +208,7 @@ def imitation(parameters: tuple[Parameter, ...], shift: Float[np.ndarray, "p"], 
         for one, size in sorted(pairs, key=lambda pair: -abs(pair[1]))
     )
     unit = "" if column.unit == "1" else f" {column.unit}"
-    return f"{column.null + column.scale:g}{unit} of it would pass for {moved}"
+    return f"{column.null + column.scale:g}{unit} would pass for {moved}"
 
 
 def combined(

@@ -62,7 +62,7 @@ def _judge(
     if cannot is not None:
         return cannot, ()
     if not base.adequacy.rejected:
-        if not mesh.passed:
+        if mesh.blind:
             return MESH_LIMITED, ()
         return (ADEQUATE if noise.repeated else NOISE_UNKNOWN), ()
     members = tuple(one for one in singles if one.in_set)
@@ -73,9 +73,8 @@ def _judge(
         return MAINLY, (mainly,)
     if both:
         return (TWO if len(both) == 1 else AMBIGUOUS), both
-    if not mesh.passed and not any(one.significant for one in singles):
-        return MESH_LIMITED, ()
-    return UNEXPLAINED, ()
+    beyond = any(one.significant for one in singles) or base.adequacy.bends
+    return (MESH_LIMITED if mesh.guilty or (mesh.blind and not beyond) else UNEXPLAINED), ()
 
 
 def _cannot(noise: Noise, base: Look) -> str | None:
@@ -96,7 +95,8 @@ def _text(
         found = "" if not noise.known else "At the stated noise no effect is missed. "
         return found + noise.allows()
     if kind == ADEQUATE:
-        return "The model fits these data to within their noise: no effect that they could show is missing."
+        moved = "" if mesh.passed else f" What the mesh leaves moves a parameter by {_largest(mesh):.2g} standard errors at most."
+        return "The model fits these data to within their noise: no effect that they could show is missing." + moved
     if kind == MESH_LIMITED:
         return (
             "The mesh limits what can be said: what may be left of its error could look like a missing effect "

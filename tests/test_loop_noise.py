@@ -1,0 +1,103 @@
+"""Noise from repeats: its size, what trials share, rows that stand out; and what may be said where nothing tells it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from loop_toy import Toy
+
+from fingerjax.loop.noise import estimate, outliers
+from fingerjax.loop.repeats import from_repeats
+from fingerjax.loop.whitening import Whitener
+
+CONDITIONS, SETTINGS, TRIALS = 5, 20, 4
+
+
+def traces(
+    seed: int, *, sigma: float = 0.1, gain: float = 0.0, zero: float = 0.0, session: float = 0.0, wild: float = 0.0, near: float = 0.0
+):
+    """`from_repeats` of made-up traces, and the exact values."""
+    random = np.random.default_rng(seed)
+    condition, trial, place = (one.ravel() for one in np.meshgrid(range(CONDITIONS), range(TRIALS), range(SETTINGS), indexing="ij"))
+    exact = 1.0 + 3.0 * (place / SETTINGS) ** 2 + 0.5 * condition
+    noise = random.standard_normal((CONDITIONS, TRIALS, SETTINGS))
+    for k in range(1, SETTINGS):
+        noise[:, :, k] = near * noise[:, :, k - 1] + math.sqrt(1 - near**2) * noise[:, :, k]
+    gains = session * random.standard_normal(TRIALS)[trial] + (gain * random.standard_normal((CONDITIONS, TRIALS)))[condition, trial]
+    y = exact * (1 + gains) + (zero * random.standard_normal((CONDITIONS, TRIALS)))[condition, trial] + sigma * noise.ravel()
+    y += 8 * sigma * (random.random(len(y)) < wild) * random.choice([-1, 1], len(y))
+    found = from_repeats(y, condition * SETTINGS + place, condition, trial, place.astype(float), 2.0, False)
+    assert found is not None
+    return found, exact
+
+
+def test_plain_noise_has_its_size_and_nothing_in_common() -> None:
+    found = [traces(seed)[0] for seed in range(20)]
+    assert np.mean([one.sigma[0] for one in found]) == pytest.approx(0.1, rel=0.02)
+    assert np.mean([np.sqrt(one.trace[0, 0]) for one in found]) < 0.02
+    # Of 5 x 20 settings three repeats each, less two for every trace beyond the first of its condition.
+    assert found[0].dof == pytest.approx(5 * 20 * 3 - 5 * 3 * 2)
+    assert np.mean([one.neighbours > 0 for one in found]) < 0.2
+
+
+def test_gains_and_zeros_of_traces_are_found_and_a_session_is_told_from_a_trace() -> None:
+    alone = np.mean([np.diag(traces(seed, gain=0.05, zero=0.2)[0].trace) for seed in range(20)], axis=0)
+    # Student's widening for 15 degrees of freedom.
+    assert np.sqrt(alone) == pytest.approx([0.05 * 1.087, 0.2 * 1.087], rel=0.2)
+    together = [traces(seed, session=0.05)[0] for seed in range(40)]
+    assert np.mean([one.trial[0, 0] for one in together]) > 20 * np.mean([one.trace[0, 0] for one in together])
+    assert np.mean([one.trial[0, 0] for one in together]) == pytest.approx((0.05 * 3.18 / 1.96) ** 2, rel=0.4)
+
+
+def test_an_outlier_is_weighed_down_and_does_not_inflate_the_noise() -> None:
+    found = [traces(seed, wild=0.02)[0] for seed in range(10)]
+    assert np.mean([one.sigma[0] for one in found]) == pytest.approx(0.1, rel=0.1)
+    few = np.mean([np.mean(one.weights < 0.5) for one in found])
+    assert 0.01 < few < 0.03
+    assert all(one.weights.min() > 0 for one in found)
+
+
+def test_neighbours_that_are_alike_are_noticed() -> None:
+    found = [traces(seed, near=0.6)[0].neighbours for seed in range(10)]
+    assert np.mean(found) == pytest.approx(0.6, abs=0.12)
+
+
+def test_rates_are_noisier_where_they_are_high() -> None:
+    toy = Toy(repeats=8, noise=0.05)
+    noise, where = estimate(toy.rows), toy.rows.blocks["bar"]
+    true = toy.sizes()[toy.index][where]
+    assert noise.sigma[where] == pytest.approx(true, rel=0.25)
+    assert np.ptp(noise.sigma[where]) > 0
+    assert np.ptp(noise.sigma[toy.rows.blocks["line"]]) == 0.0
+
+
+def test_what_tells_the_noise_decides_what_may_be_said() -> None:
+    repeated, stated, silent = estimate(Toy().rows), estimate(Toy(stated=True).rows), estimate(Toy(silent=True).rows)
+    assert (repeated.worst, stated.worst, silent.worst) == ("replicates", "stated", "assumed")
+    assert repeated.repeated and repeated.known and repeated.nu > 200
+    assert stated.known and not stated.repeated and stated.dof == math.inf and "cannot be called adequate" in stated.allows()
+    assert not silent.known and "nothing is named" in silent.allows()
+    assert not estimate(Toy(repeats=2).rows).repeated
+
+
+def test_whitened_noise_is_white() -> None:
+    toy = Toy(gain=0.05)
+    squares = []
+    for seed in range(10):
+        one = Toy(gain=0.05, seed=seed)
+        whitened = Whitener.of(estimate(one.rows).covariance())(one.rows.measured - one.exact[one.index])
+        squares.append(float(whitened @ whitened))
+    # Between the share that pure error leaves and all rows.
+    assert 0.9 < np.mean(squares) / len(toy.rows) < 1.05
+
+
+def test_without_repeats_an_outlier_is_one_among_its_own_block() -> None:
+    toy = Toy(stated=True)
+    noise = estimate(toy.rows)
+    residual = np.zeros(len(toy.rows))
+    residual[5] = 9 * noise.sigma[5]
+    assert np.argmin(outliers(toy.rows, noise, residual).weights) == 5
+    # A model that misses everywhere has none.
+    assert outliers(toy.rows, noise, 20 * noise.sigma * np.sin(np.arange(len(residual)))).weights.min() > 0.9
