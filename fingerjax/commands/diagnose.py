@@ -139,7 +139,7 @@ def _runner(parts: Parts, folder: Path | None, seed: int, solver: str) -> Runner
     """A runner that diagnoses, with its parts kept."""
 
     def run(study: Study, context: Context) -> StudyResult:
-        from fingerjax.forward.diagnosis import diagnose_study
+        from fingerjax.runners.diagnosing import diagnose_study
 
         asked = study.diagnose.effects if study.diagnose is not None else "all"
         try:
