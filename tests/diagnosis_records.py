@@ -58,7 +58,7 @@ def record(kind: str = "attributed", *, repeats: int = 3, seed: int = 1, **chang
         },
         "candidates": [_candidate(kind, name, score) for name, score in zip(ACTS_ON, SCORES, strict=True)],
         "critical": {"alpha": 0.05, "maxT": 2.82, "n_columns": 25, "effective_tests": 10.5, "null_fp_measured": 0.045, "n_boot": 200},
-        "set": NAMED.get(kind, []),
+        "set": [" + ".join(NAMED[kind])] if kind == "two effects" else NAMED.get(kind, []),
         "confusable": [
             {"a": "nail_compliance", "b": "bed_compliance", "cos": 0.985, "lambda_needed": 436.0},
             {"a": "skin_poisson", "b": "receptor_depth", "cos": -0.71, "lambda_needed": 26.3},

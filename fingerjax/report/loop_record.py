@@ -173,9 +173,8 @@ def named(record: Record) -> list[str]:
 
 
 def explanations(record: Record) -> list[str]:
-    """Families in the set of explanations, those of a pair one by one."""
-    said = record.get("set") or []
-    return list(dict.fromkeys(str(one) for each in said for one in (each if isinstance(each, (list, tuple)) else [each])))
+    """Families in the set of explanations, those of a pair (`a + b`) one by one."""
+    return list(dict.fromkeys(one for each in record.get("set") or [] for one in str(each).split(" + ")))
 
 
 def candidates(record: Record) -> list[dict[str, Any]]:
@@ -206,7 +205,7 @@ def critical(record: Record) -> float:
 class Left:
     """Errors of some rows before and after: root mean squares of data - model.
 
-    - `count`: rows. `share_*`: over the root mean square of the data. `noise_*`: of (data - model) / sigma; 1 is noise alone.
+    - `count`: rows. `share_*`: over the root mean square of the measurement's data. `noise_*`: of (data - model) / sigma; 1 is noise alone.
     """
 
     count: int
@@ -229,7 +228,7 @@ class Left:
 
 def left(block: Block, mask: np.ndarray) -> Left:
     """Errors of the rows of a mask."""
-    size = rms(block.measured[mask])
+    size = rms(block.measured)
     before, after, sigma = block.left("before")[mask], block.left("after")[mask], block.sigma[mask]
     share = [rms(one) / size if size > 0 else math.nan for one in (before, after)]
     return Left(int(mask.sum()), *share, rms(_over(before, sigma)), rms(_over(after, sigma)))

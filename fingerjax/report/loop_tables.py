@@ -81,7 +81,8 @@ def refits(record: Record) -> Table:
     rows = [_refit(record, one) for one in sorted(fitted, key=lambda one: -_finite(one["refit"].get("delta")))]
     note = (
         "Misfit removed: drop of the summed squares over squared noise. Explained: share of the misfit beyond noise. Strongest rival: the "
-        "effect that would explain most of what still remains. Held out, change: of the squared misfit there; negative is better."
+        "effect that would explain most of what still remains. Held out, change: of the squared misfit there; negative is better. BIC and "
+        "log evidence weigh the misfit against the number of parameters: a falling BIC and a gain speak for the effect."
     )
     return Table("loop_refits", "Fitted anew with each of the best effects", rows, note)
 
@@ -98,8 +99,8 @@ def _refit(record: Record, one: Mapping[str, Any]) -> Row:
         "strongest_rival": spoken(rival.get("family") or ""),
         "rival_score": maybe(rival.get("z")),
         "held_out_change": maybe(refit.get("veto_dchi2")),
-        "BIC": maybe(refit.get("bic")),
-        "log_evidence": maybe(refit.get("log_evidence")),
+        "BIC_change": maybe(refit.get("bic")),
+        "log_evidence_gain": maybe(refit.get("log_evidence")),
         "converged": refit.get("converged"),
         "in_the_set": bool(refit.get("in_set", str(one["family"]) in explanations(record))),
         "remark": str(refit.get("reason") or ""),
@@ -279,7 +280,11 @@ def patterns(record: Record) -> Table:
     """What else is known of the form of the remainder: symmetry, spectrum."""
     said = record.get("unexplained") or {}
     rows = [row for what in ("symmetry", "spectrum") for row in _leaves((what,), said.get(what))]
-    return Table("loop_patterns", "Form of what remains", rows)
+    note = (
+        "Symmetry: share of the misfit that is odd about the middle, 0.5 for noise, 1 for a tilt. Spectrum: correlation of neighbouring "
+        "readings, and the wavelength that stands out with the share of the misfit that it holds."
+    )
+    return Table("loop_patterns", "Form of what remains", rows, note)
 
 
 def _leaves(path: tuple[str, ...], said: Any) -> list[Row]:

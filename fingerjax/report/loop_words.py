@@ -194,8 +194,10 @@ def about_parameters(record: Record) -> list[str]:
     said = ["An interval holds the true value in 95 % of repeats, if the model is right otherwise."]
     if wide == "hull":
         said.append("The intervals after cover every explanation that is still possible, and what the mesh adds.")
+    elif str(wide).startswith("inflated"):
+        said.append("The intervals after are widened by what remains, because the model that they belong to does not explain these data.")
     elif wide:
-        said.append(f"Kind of interval after: {spoken(wide)}.")
+        said.append("The intervals after are those of the one explanation, with what the mesh adds.")
     if absorbed(record):
         said.append(
             "The effects in the second table leave no trace of their own: the parameters move as it says and hide them. A clean residual "
@@ -277,7 +279,7 @@ def about_trust(record: Record) -> list[str]:
     alpha, boots = said.get("alpha"), said.get("n_boot")
     found = []
     measured = said.get("null_fp_measured")
-    rates = measured if isinstance(measured, Mapping) else {"an effect was suspected": measured}
+    rates = measured if isinstance(measured, Mapping) else {"the model was called wrong": measured}
     for what, value in rates.items():
         if math.isfinite(number(value)):
             sets = f"{short(boots)} simulated data sets" if boots else "simulated data"
