@@ -162,7 +162,7 @@ class Search:
         if len(errors) < 6:
             return False
         rate = (errors[-1] / errors[-5]) ** 0.25
-        return rate >= 1.0 or np.log(self.chording.tolerance / errors[-1]) / np.log(rate) > self.chording.worth
+        return bool(rate >= 1.0 or np.log(self.chording.tolerance / errors[-1]) / np.log(rate) > self.chording.worth)
 
     def _look(self, u: np.ndarray, active: Array) -> _Iterate | None:
         """The chord's answer at a displacement; None where the tissue's law does not hold."""

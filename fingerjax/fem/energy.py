@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .body import Body
 from .operator import Lame, accumulate, displacement_gradient
@@ -45,26 +45,45 @@ def energy_and_force(
 ) -> tuple[Float[Array, ""], Float[Array, "nodes 3"]]:
     """`total_energy` and `internal_force` in one pass."""
     (points, corners), elements, axes = body.slopes.shape[:2], len(body.layer), range(3)
-    reference = jnp.swapaxes(body.slopes, 1, 2).reshape(3 * points, corners)
-    moved = jnp.swapaxes(u[body.tets.T], 1, 2)  # a node, i direction, e element
-    seen = jax.lax.optimization_barrier(
-        (reference @ moved.reshape(corners, -1)).reshape(points, 3, 3, elements)
-    )  # q, k reference axis, i, e
-    inverse = body.inverse_along
-    gradient = jnp.stack([jnp.stack([sum(seen[:, k, i] * inverse[:, k, j] for k in axes) for j in axes]) for i in axes])
-    layer = jnp.tile(body.layer, points)
     of_points = jax.vmap(jax.value_and_grad(tissue.density), in_axes=(2, 1, 0), out_axes=(0, 2))
-    stored, stress = of_points(jax.lax.optimization_barrier(gradient).reshape(3, 3, -1), lame[:, layer], layer)
-    weight = body.weight_along
+    stored, stress = of_points(*_along(body, lame, u))
+    weight, inverse = body.weight_along, body.inverse_along
     pull = jax.lax.optimization_barrier(stress.reshape(3, 3, points, elements) * weight)
     pulled = jnp.stack([jnp.stack([sum(pull[i, j] * inverse[:, k, j] for j in axes) for i in axes], axis=1) for k in axes], axis=1)
-    forces = (reference.T @ pulled.reshape(3 * points, -1)).reshape(corners, 3, elements)
+    forces = (_reference(body).T @ pulled.reshape(3 * points, -1)).reshape(corners, 3, elements)
     return jnp.sum(weight * stored.reshape(points, elements)), accumulate(body, jnp.transpose(forces, (2, 0, 1)))
 
 
+def _reference(body: Body) -> Float[Array, "points_3 corners"]:
+    return jnp.swapaxes(body.slopes, 1, 2).reshape(-1, body.slopes.shape[1])
+
+
+def _along(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> tuple[Float[Array, "3 3 p"], Float[Array, "2 p"], Int[Array, " p"]]:
+    """Displacement gradient, Lame parameters and layer of all quadrature points, which come last: point by point, elements innermost."""
+    (points, corners), axes = body.slopes.shape[:2], range(3)
+    moved = jnp.swapaxes(u[body.tets.T], 1, 2)  # a node, i direction, e element
+    seen = (_reference(body) @ moved.reshape(corners, -1)).reshape(points, 3, 3, -1)  # q point, k reference axis, i, e
+    seen, inverse = jax.lax.optimization_barrier(seen), body.inverse_along
+    gradient = jnp.stack([jnp.stack([sum(seen[:, k, i] * inverse[:, k, j] for k in axes) for j in axes]) for i in axes])
+    layer = jnp.tile(body.layer, points)
+    return jax.lax.optimization_barrier(gradient).reshape(3, 3, -1), lame[:, layer], layer
+
+
 def moduli(body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "elements points 3 3 3 3"]:
-    """d stress_ij / d gradient_kl at every quadrature point, MPa: the first Piola-Kirchhoff stress's, geometric part included."""
-    return _everywhere(jax.hessian(tissue.density), body, lame, u)
+    """d stress_ij / d gradient_kl at every quadrature point, MPa: the first Piola-Kirchhoff stress's, geometric part included.
+
+    One direction of the gradient after the other: four times as fast as `jax.hessian` of each point.
+    """
+    gradient, each, layer = _along(body, lame, u)
+
+    def stress(gradient: Float[Array, "3 3 p"]) -> Float[Array, "3 3 p"]:
+        return jax.vmap(jax.grad(tissue.density), in_axes=(2, 1, 0), out_axes=2)(gradient, each, layer)
+
+    def towards(way: Float[Array, "3 3"]) -> Float[Array, "3 3 p"]:
+        return jax.jvp(stress, (gradient,), (jnp.broadcast_to(way[..., None], gradient.shape),))[1]
+
+    columns = jax.lax.map(towards, jnp.eye(9).reshape(9, 3, 3)).reshape(3, 3, 3, 3, -1, len(body.layer))
+    return jnp.transpose(columns, (5, 4, 2, 3, 0, 1))
 
 
 def smallest_volume(body: Body, u: Float[Array, "nodes 3"]) -> Float[Array, ""]:

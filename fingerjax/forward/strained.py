@@ -101,12 +101,12 @@ def strained_readings(
     return Strained(_prediction(model, values, found, quantity), found)
 
 
-def paths(rig: Rig, variant: int) -> Iterator[tuple[int, np.ndarray]]:
+def paths(rig: Rig, variant: int) -> Iterator[tuple[int, list[int]]]:
     """Poses of a rig, and the cases of each that a variant of the material has, in the order of what is imposed."""
     load, own, poses = np.asarray(rig.imposed), np.asarray(rig.variant) == variant, np.asarray(rig.pose)
     for pose in np.unique(poses[own]):
         cases = np.flatnonzero(own & (poses == pose))
-        yield int(pose), cases[np.argsort(load[cases])]
+        yield int(pose), cases[np.argsort(load[cases])].tolist()
 
 
 def imposed_on(model: Model, values: Values, rig: Rig, case: int) -> Imposed:
