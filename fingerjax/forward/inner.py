@@ -39,7 +39,7 @@ def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float
 
     directions = jnp.zeros((len(lames), len(forces), *lames[0].shape))
     known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
-    return slopes_of(model.instruments, known, dict(values), len(forces))
+    return slopes_of(model.instruments, known, {name: jnp.asarray(value) for name, value in values.items()}, len(forces))
 
 
 @eqx.filter_jit

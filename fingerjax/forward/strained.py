@@ -167,7 +167,8 @@ def _found(
         if renewed is None:
             break
         chord, factorisations = renewed, factorisations + 1
-    found = find(tissue, Indenting(place.columns, place.interface, *imposed), Newton(chording.tolerance), _state(last))
+    travel, force = (None if value is None else jnp.asarray(value) for value in imposed)
+    found = find(tissue, Indenting(place.columns, place.interface, travel, force), Newton(chording.tolerance), _state(last))
     newton, result, rest = found.iterations, found.result, None
     if result.ok:
         near = tangent_chord(tissue, place, np.asarray(found.state.displacement).ravel())

@@ -17,7 +17,7 @@ from ..study import Study
 from .subject import FingerSubject
 
 FINER = 0.62  # of the element size: about four times the nodes
-WORKING = 12_000  # nodes of the mesh that is fitted on, at most
+WORKING = 25_000  # nodes of the mesh that is fitted on, at most
 GROWTH = 1.3  # power by which nodes grow as elements shrink: thin layers keep theirs
 LARGEST = 60_000  # nodes of the finer one
 
@@ -66,6 +66,6 @@ def subject_of(
         subject.refine(own)
         return subject
     subject = FingerSubject(own, asked, solver=solver)
-    if len(own.mesh.nodes) / FINER**3 <= LARGEST:
+    if len(own.mesh.nodes) / FINER**GROWTH <= LARGEST:
         subject.refine(assemble(study, solver=solver, size=FINER))
     return subject

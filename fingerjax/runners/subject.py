@@ -30,7 +30,7 @@ from ..parameters import Parameter
 from ..study import Prior
 from .rows import rows_of
 
-Amounts = dict[str, dict[str, float]]  # effect -> its numbers
+Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 REACH = 3.0  # plausible sizes from the null to the bounds
@@ -89,7 +89,8 @@ class FingerSubject(AbstractSubject):
             linear = self._linearised(self._model(amounts), raw, self._amounts(phi | dict.fromkeys(keys, 0.0), at_null=True), tuple(keys))
             if linear is not None:
                 found |= dict(zip(keys, linear[1][:, len(raw) :].T, strict=True))
-        found |= self._inner_slopes(raw, phi, [key for key in self._ways if self._is_inner(key) or self._is_law(key)])
+        tangent_laws = [key for key, way in self._ways.items() if self._is_law(key) and way.step is None]
+        found |= self._inner_slopes(raw, phi, [*filter(self._is_inner, self._ways), *tangent_laws])
         rest = [key for key in self._ways if key not in found]
         for number, key in enumerate(rest):
             self.tell(number / len(rest), f"what {self._ways[key].family} would leave")
@@ -124,7 +125,7 @@ class FingerSubject(AbstractSubject):
         return self.effects[self._ways[key].family].traced
 
     def _amounts(self, phi: Mapping[str, float], *, at_null: bool = False) -> Amounts:
-        found: Amounts = {}
+        found: dict[str, dict[str, Any]] = {}
         for key, value in phi.items():
             way = self._ways[key]
             number = way.null if at_null and key not in found and value == 0.0 else value
@@ -196,10 +197,11 @@ class FingerSubject(AbstractSubject):
 
     def _value(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> np.ndarray | None:
         amounts = self._amounts(phi)
-        model = self._model(amounts)
-        return None if model is None else self._value_of(model, raw, amounts)
+        return self._value_of(self._model(amounts), raw, amounts)
 
-    def _value_of(self, model: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
+    def _value_of(self, model: Assembled | None, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
+        if model is None:
+            return None
         values = self._values(raw, amounts)
         if self._strained(amounts):
             found = self._followed(model, values, self._effects(amounts).law(Linear()))
@@ -233,7 +235,7 @@ class FingerSubject(AbstractSubject):
 
         def of(at: Array) -> tuple[dict[str, Any], AbstractTissue]:
             named = {one.name: one.natural(at[number]) for number, one in enumerate(self.parameters)}
-            said = {name: dict(numbers) for name, numbers in amounts.items()}
+            said: dict[str, dict[str, Any]] = {name: dict(numbers) for name, numbers in amounts.items()}
             for number, key in enumerate(laws):
                 said[self._ways[key].family][self._ways[key].name] = at[len(raw) + number]
             return values | named, self._effects(said).law(Linear())
