@@ -26,7 +26,7 @@ from .test_forward import OF, at, imposing, solver_kind, study_of
 B = jnp.asarray([6.0, 6.0, 0.0, 0.0, 0.0])
 STIFFENING = Exponential(FiniteStrain(), B)
 NULLS = {"linear": Linear(), "homotopy 0 and b 0": Exponential(FiniteStrain(0.0), 0.0 * B)}
-TIGHT = Chording(tolerance=1e-11)
+TIGHT = Chording(tolerance=1e-10)
 EXACT = Grade(1e-8, 1e-13, "the linear engine's own factorisation answers")
 SAME_STATE = Grade(1e-6, 1e-12, "two searches for one equilibrium, each to 1e-8")
 needs_direct = pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")

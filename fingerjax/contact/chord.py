@@ -35,7 +35,7 @@ ENOUGH = 1e-4  # share of the promised fall of the energy that a shortened step 
 SLACK = 1e-9  # share of the energy below which a rise is rounding
 SHORTEST = 2.0**-6  # share of a step below which it is given up
 WORSE = 1.5  # growth of the step's norm at which a mixture is not believed
-ALIKE = 1e-13  # steps that differ by less than this share of their largest product are one
+ALIKE = 1e-12  # combinations of steps whose product is less than this share of the largest are none
 
 
 class Imposed(NamedTuple):
@@ -158,10 +158,11 @@ class Search:
         return Searched(at.rest, chording.iterations, RESULTS.no_equilibrium, True)
 
     def _slow(self, errors: list[float]) -> bool:
-        """Whether more iterations are to be expected than a factorisation is worth, by the last four."""
-        if len(errors) < 6:
+        """Whether more iterations are to be expected than a factorisation is worth, by the last few; the first ones are not asked."""
+        if len(errors) < 4:
             return False
-        rate = (errors[-1] / errors[-5]) ** 0.25
+        back = min(len(errors) - 2, 3)
+        rate = (errors[-1] / errors[-1 - back]) ** (1 / back)
         return bool(rate >= 1.0 or np.log(self.chording.tolerance / errors[-1]) / np.log(rate) > self.chording.worth)
 
     def _look(self, u: np.ndarray, active: Array) -> _Iterate | None:
@@ -241,9 +242,12 @@ def _mixed(past: list[_Iterate]) -> np.ndarray:
     answer = last.rest.displacement + last.step
     if len(past) == 1:
         return answer
-    apart = np.stack([last.step - each.step for each in past[:-1]])
-    work = np.stack([last.left - each.left for each in past[:-1]])
+    steps, left, answers = (
+        np.stack(each) for each in zip(*((at.step, at.left, at.rest.displacement + at.step) for at in past), strict=True)
+    )
+    apart, work = np.diff(steps, axis=0), np.diff(left, axis=0)
     gram = apart @ work.T
-    share = np.linalg.lstsq((gram + gram.T) / 2, apart @ last.left, rcond=ALIKE)[0]
-    moved = np.stack([answer - each.rest.displacement - each.step for each in past[:-1]])
-    return answer - share @ moved
+    size = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))  # steps shrink by decades: each difference counts by its own size
+    scaled = (gram + gram.T) / (2 * np.outer(size, size))
+    share = np.linalg.lstsq(scaled, apart @ last.left / size, rcond=ALIKE)[0] / size
+    return answer - share @ np.diff(answers, axis=0)

@@ -57,6 +57,11 @@ class Model(eqx.Module):
         known = settle(self.instruments.rigs, bodies, self.body, self._directions(values, moving), self.instruments.added, values)
         return Solved(self.instruments, known)
 
+    def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
+        """All readings at these values, compiled."""
+        asked = {name: jnp.asarray(value, float) for name, value in values.items()}
+        return _predict(self.solved(asked), asked, quantity)
+
     def _directions(self, values: Values, moving: tuple[str, ...]) -> Float[Array, "variants d 2 layers"]:
         """Orthonormal directions that span how each variant's Lame parameters follow the moving values."""
         here = {name: jnp.asarray(values[name], float) for name in moving if name in values}
@@ -120,8 +125,7 @@ class Assembled:
 
     def predict(self, values: Values | None = None, quantity: str = "strain_energy_density") -> Prediction:
         """All readings at these values, compiled."""
-        asked = {name: jnp.asarray(float(value)) for name, value in (values or {}).items()}
-        return _predict(self.model.solved(asked), asked, quantity)
+        return self.model.predict(values or {}, quantity)
 
     def problem(self) -> Problem:
         """The study's fit as least squares; afferents start from the best scale and threshold at the start moduli."""
