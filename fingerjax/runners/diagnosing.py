@@ -14,11 +14,10 @@ from ..loop.diagnosis import diagnose
 from ..loop.record import Diagnosis
 from ..loop.refit import forget
 from ..study import Study
-from .subject import FingerSubject
+from .subject import GROWTH, FingerSubject
 
 FINER = 0.62  # of the element size: about four times the nodes
 WORKING = 25_000  # nodes of the mesh that is fitted on, at most
-GROWTH = 1.3  # power by which nodes grow as elements shrink: thin layers keep theirs
 LARGEST = 60_000  # nodes of the finer one
 
 

@@ -24,6 +24,7 @@ from ..forward.model import Assembled, lay_out
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..forward.strained import Strained, strained_readings
+from ..forward.strained_levels import coarser
 from ..forward.strained_slopes import strained_jacobian
 from ..loop.subject import AbstractSubject, Column, Evaluation, Family
 from ..parameters import Parameter
@@ -33,6 +34,8 @@ from .rows import rows_of
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
+ROUGH, COARSEST = 5_000, 2.0  # nodes of the mesh on which a law is followed; how much larger its elements may be
+GROWTH = 1.3  # power by which nodes grow as elements shrink: thin layers keep theirs
 REACH = 3.0  # plausible sizes from the null to the bounds
 
 
@@ -57,16 +60,16 @@ class FingerSubject(AbstractSubject):
         self._ways = {column.key: column for family in self.families for column in (*family.columns, *family.second)}
         self._made: OrderedDict[str, Assembled | None] = OrderedDict()
         self._fine: Assembled | None = None
-        self._last: dict[int, Strained] = {}
+        self._rough: Assembled | None = None
+        self._last: Strained | None = None
         self._solvers: dict[tuple[int, bytes], AbstractSolver] = {}
 
     def evaluate(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
         amounts = self._amounts(phi)
         inside, outside = ([key for key in moving if self._is_compiled(key) is here] for here in (True, False))
-        model = self._model(amounts)
-        if model is not None and self._strained(amounts):
-            return self._with_law(model, raw, amounts, phi, moving)
-        found = self._linearised(model, raw, amounts, tuple(inside))
+        if self._strained(amounts):
+            return self._with_law(raw, phi, moving)
+        found = self._linearised(self._model(amounts), raw, amounts, tuple(inside))
         if found is None:
             return self._failed(len(raw), len(moving))
         value, slopes = found
@@ -105,8 +108,8 @@ class FingerSubject(AbstractSubject):
         fine = self._value_of(self._changed(self._fine, made), raw, amounts)
         if fine is None or not self._strained(self._amounts(phi)):
             return fine
-        linear, strained = self._value_of(self._model(amounts), raw, amounts), self._value(raw, phi)
-        return None if linear is None or strained is None else strained + fine - linear  # the mesh's error is that of the linear model
+        more = self._beyond(raw, self._amounts(phi))
+        return None if more is None else fine + more[0]
 
     def refine(self, fine: Assembled) -> None:
         """Give the subject a finer mesh to check itself against."""
@@ -202,50 +205,63 @@ class FingerSubject(AbstractSubject):
     def _value_of(self, model: Assembled | None, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
         if model is None:
             return None
+        linear = self._elastic(model, raw, amounts)
+        if linear is None or not self._strained(amounts):
+            return linear
+        more = self._beyond(raw, amounts)
+        return None if more is None else linear + more[0]
+
+    def _elastic(self, model: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
         values = self._values(raw, amounts)
-        if self._strained(amounts):
-            found = self._followed(model, values, self._effects(amounts).law(Linear()))
-            if found is None:
-                return None
-            prediction = found.prediction
-        else:
-            prediction = _predicted(model.model.solved(values), values)
+        prediction = _predicted(model.model.solved(values), values)
         value = np.concatenate([np.asarray(each) for each in prediction.readings])
         return value if bool(prediction.health.converged) and np.isfinite(value).all() else None
 
-    def _followed(self, model: Assembled, values: dict[str, Any], law: AbstractTissue) -> Strained | None:
-        """All equilibria of tissue of a law, begun at the last ones on this model."""
+    def _beyond(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> tuple[np.ndarray, Strained, Assembled] | None:
+        """What a law of the tissue adds to every row, found on the rough mesh; each search begins where the last one ended."""
+        rough = self._rough_model(amounts)
+        linear, law = self._elastic(rough, raw, amounts), self._effects(amounts).law(Linear())
         try:
-            found = strained_readings(model.model, values, law, start=self._last.get(id(model)))
+            found = strained_readings(rough.model, self._values(raw, amounts), law, start=self._last)
         except ValueError:
             return None
-        if bool(found.prediction.health.converged):
-            self._last = {id(model): found}
-        return found
+        if linear is None or not bool(found.prediction.health.converged):
+            return None
+        self._last = found
+        return np.concatenate([np.asarray(each) for each in found.prediction.readings]) - linear, found, rough
 
-    def _with_law(
-        self, model: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts, phi: Mapping[str, float], moving: tuple[str, ...]
-    ) -> Evaluation:
-        """The same for tissue of another law: parameters of materials and laws by the implicit rule, other effects by differences."""
-        laws = [key for key in moving if self._is_law(key)]
-        values = self._values(raw, amounts)
-        found = self._followed(model, values, self._effects(amounts).law(Linear()))
-        if found is None or not bool(found.prediction.health.converged):
+    def _rough_model(self, amounts: Amounts) -> Assembled:
+        if self._rough is None:
+            share = min((len(self.base.mesh.nodes) / ROUGH) ** (1 / GROWTH), COARSEST)
+            self._rough = _with(coarser(self.base, share), Effects(self.compiled), self.solver) if share > 1 else self.base
+        made = [pair for pair in self._made_of(amounts) if not pair[0].is_law]
+        return self._changed(self._rough, Effects(self.compiled, tuple(made))) if made else self._rough
+
+    def _with_law(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
+        """The same for tissue of another law: the linear model's, and what the law adds by the implicit rule; others move that little."""
+        amounts, laws = self._amounts(phi), [key for key in moving if self._is_law(key)]
+        rest = tuple(key for key in moving if key not in laws)
+        linear = self.evaluate(raw, {key: value for key, value in phi.items() if not self._is_law(key)}, rest)
+        more = self._beyond(raw, amounts)
+        if not linear.usable or more is None:
             return self._failed(len(raw), len(moving))
+        added, found, rough = more
 
         def of(at: Array) -> tuple[dict[str, Any], AbstractTissue]:
             named = {one.name: one.natural(at[number]) for number, one in enumerate(self.parameters)}
-            said: dict[str, dict[str, Any]] = {name: dict(numbers) for name, numbers in amounts.items()}
+            said = {name: dict(numbers) for name, numbers in amounts.items()}
             for number, key in enumerate(laws):
                 said[self._ways[key].family][self._ways[key].name] = at[len(raw) + number]
-            return values | named, self._effects(said).law(Linear())
+            return self._values(raw, amounts) | named, self._effects(said).law(Linear())
 
-        at = jnp.asarray([*raw, *(phi[key] for key in laws)])
-        slopes = np.asarray(strained_jacobian(model.model, of, at, found))
-        value = np.concatenate([np.asarray(each) for each in found.prediction.readings])
-        others = {key: self._difference(raw, phi, key, value) for key in moving if key not in laws}
+        slopes = np.asarray(strained_jacobian(rough.model, of, jnp.asarray([*raw, *(phi[key] for key in laws)]), found))
+        there = self._linearised(rough, raw, amounts, ())
+        if there is None:
+            return self._failed(len(raw), len(moving))
+        others = dict(zip(rest, linear.phi_jacobian.T, strict=True))
         columns = [slopes[:, len(raw) + laws.index(key)] if key in laws else others[key] for key in moving]
-        return Evaluation(value, slopes[:, : len(raw)], np.stack(columns, axis=1) if columns else np.zeros((len(value), 0)))
+        theta = linear.theta_jacobian + slopes[:, : len(raw)] - there[1]
+        return Evaluation(linear.prediction + added, theta, np.stack(columns, axis=1) if columns else np.zeros((len(added), 0)))
 
     def _is_inner(self, key: str) -> bool:
         """Whether an effect is in the internal force, so that one linear answer gives its slope."""
