@@ -1,10 +1,10 @@
 """Does the model fit? Three tests that see different misfits, a third of alpha each.
 
-    omnibus     F = (|r along what can be predicted|^2 / df) / s^2            any misfit, weakly
+    omnibus     |r|^2 along what can be predicted at all, J apart                         any misfit, weakly
     smooth      the same on the lowest cosines of every condition, made orthogonal to J       what bends slowly, well
     max-T       the largest score of the catalogue                            what the catalogue knows, best
 
-The noise is whitened by what repeats say, hence s = 1 with nu degrees of freedom.
+The noise is whitened by what repeats say; that they say it with few degrees of freedom, block by block, is in the laws (`critical`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from .critical import Critical, critical
 from .refit import Optimum
@@ -57,26 +56,26 @@ class Look:
     adequacy: Adequacy
 
 
-def look(best: Optimum, families: Sequence[Family], *, nu: float, alpha: float, seed: int) -> Look:
+def look(best: Optimum, families: Sequence[Family], *, alpha: float, seed: int) -> Look:
     """Rank the families at an optimum and test it. Effects that are awake there are part of the model that the others must leave."""
     ranking = rank(best, families, best.sample.subject.columns(best.raw, best.phi))
-    value = critical(ranking, nu=nu, alpha=alpha, seed=seed)
-    return Look(best, ranking, value, adequacy(best, nu=nu, largest_p=value.p(ranking.largest), alpha=alpha))
+    predictable, smooth = bases(best)
+    law = critical(best.sample, ranking, predictable, smooth, alpha=alpha, seed=seed)
+    return Look(best, ranking, law, adequacy(best, ranking, law, predictable, smooth))
 
 
-def adequacy(best: Optimum, *, nu: float, largest_p: float, alpha: float = 0.05) -> Adequacy:
-    """The three tests at an optimum."""
-    predictable = _orthonormal(best.projection(best.sample.settings()))
-    misfit = _squares(predictable, best.residual)
-    smooth = _orthonormal(best.projection(modes(best.sample)))
-    return Adequacy(
-        _f(misfit, predictable.shape[1], nu),
-        _f(_squares(smooth, best.residual), smooth.shape[1], nu),
-        largest_p,
-        float(predictable.shape[1]),
-        misfit,
-        alpha,
-    )
+def bases(best: Optimum) -> tuple[Float[np.ndarray, "sample a"], Float[np.ndarray, "sample b"]]:
+    """Orthonormal columns, orthogonal to J, of what can be predicted at all, and of what bends slowly."""
+    return _orthonormal(best.projection(best.sample.settings())), _orthonormal(best.projection(modes(best.sample)))
+
+
+def adequacy(
+    best: Optimum, ranking: Ranking, law: Critical, predictable: Float[np.ndarray, "sample a"], smooth: Float[np.ndarray, "sample b"]
+) -> Adequacy:
+    """The three tests at an optimum, by a law that need not be its own."""
+    misfit, bends = (float(np.sum((basis.T @ best.residual) ** 2)) for basis in (predictable, smooth))
+    largest = law.largest.p(ranking.largest) if ranking.blocks else 1.0
+    return Adequacy(law.omnibus.p(misfit), law.smooth.p(bends), largest, float(predictable.shape[1]), misfit, law.alpha)
 
 
 def modes(sample: Sample, count: int = MODES) -> Float[np.ndarray, "sample modes"]:
@@ -101,13 +100,3 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
         return columns
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular > 1e-7 * max(singular[0], 1e-300)]
-
-
-def _squares(basis: np.ndarray, residual: np.ndarray) -> float:
-    return float(np.sum((basis.T @ residual) ** 2))
-
-
-def _f(squares: float, df: int, nu: float) -> float:
-    if df == 0:
-        return 1.0
-    return float(stats.f.sf(squares / df, df, nu) if math.isfinite(nu) else stats.chi2.sf(squares, df))

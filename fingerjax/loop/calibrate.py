@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from .adequacy import Adequacy, Look, adequacy
+from .adequacy import Adequacy, Look, adequacy, bases
 from .noise import estimate
 from .record import Planted
 from .refit import Optimum
@@ -46,19 +46,17 @@ class Machine:
     families: tuple[Family, ...]
     columns: Mapping[str, Float[np.ndarray, "rows"]]
     left: Float[np.ndarray, "rows rows"]
-    nu: float
 
     def look(self, random: np.random.Generator, extra: Float[np.ndarray, "rows"] | None = None) -> tuple[Ranking, Adequacy]:
         """One made-up set, with `extra` added to what the model says."""
         best = self.base.best
         drawn = Whitener.of(best.sample.covariance).back(random.standard_normal(len(best.sample.measured)))
         error = drawn if extra is None else drawn + extra
-        again = self._again(error)
+        again = self._again(error, random)
         ranking = rank(again, self.families, self.columns)
-        p = self.base.critical.p(ranking.largest)
-        return ranking, adequacy(again, nu=self.nu, largest_p=p, alpha=self.base.critical.alpha)
+        return ranking, adequacy(again, ranking, self.base.critical, *bases(again))
 
-    def _again(self, error: Float[np.ndarray, "rows"]) -> Optimum:
+    def _again(self, error: Float[np.ndarray, "rows"], random: np.random.Generator) -> Optimum:
         """The base fit as the made-up data have it, with the noise that their repeats show."""
         best = self.base.best
         sample, rows = best.sample, best.sample.subject.rows
@@ -66,9 +64,8 @@ class Machine:
         covariance = estimate(rows, made).covariance() + self.left
         whiten = Whitener.of(covariance[np.ix_(sample.chosen, sample.chosen)])
         fresh: Sample = replace(sample, measured=made, covariance=covariance, whiten=whiten)
-        priors = len(sample.subject.priors)
-        tail = np.zeros(priors)
-        residual = np.concatenate([whiten(error[sample.chosen]), tail])
+        priors = random.standard_normal(len(sample.subject.priors))
+        residual = np.concatenate([whiten(error[sample.chosen]), priors])
         jacobian = fresh.jacobian(best.at, best.raw)
         return replace(best, sample=fresh, residual=residual, jacobian=jacobian)
 

@@ -1,6 +1,7 @@
-"""How large the largest score gets when nothing is missing: one simulation for many effects, grids and signs at once.
+"""How large a misfit, and the largest score, get when nothing is missing: one simulation for many effects, grids, signs and blocks.
 
-    max over effects of the statistic of s sqrt(nu / chi2_nu) Q eps,   eps ~ N(0, I)
+    eps ~ N(0, I), in each block times sqrt(nu_b / chi2_nu_b), as its noise is known from nu_b degrees of freedom only
+    max over effects of the statistic of Q eps,     |P eps|^2 on what can be predicted, and on what bends slowly
 
 Westfall & Young (1993), max-T. The draws live on the rows, not on the effects, so that the order or the names of effects change nothing.
 """
@@ -9,55 +10,92 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from .sample import Sample
 from .score import Ranking, statistics
 
-DRAWS, AT_ONCE = 12000, 2000
+DRAWS = 10000
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """What chance gives: draws, rising."""
+
+    draws: Float[np.ndarray, "draws"]
+
+    def p(self, statistic: float) -> float:
+        """Probability of at least this much."""
+        above = self.draws.size - int(np.searchsorted(self.draws, statistic, side="left"))
+        return (above + 1.0) / (self.draws.size + 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Critical:
-    """The law of the largest score.
+    """The laws of the three tests.
 
-    - `value`: exceeded with probability `alpha`; inf where nothing can be tested. `maxima`: the draws, rising.
-    - `effective`: how many independent two-sided tests would need the same value.
+    - `value`: of the largest score, exceeded with probability `alpha`; inf where no effect can be tested.
+    - `largest`, `omnibus`, `smooth`: the laws. `effective`: how many independent two-sided tests would need the same `value`.
     """
 
     alpha: float
     value: float
-    maxima: Float[np.ndarray, "draws"]
+    largest: Law
+    omnibus: Law
+    smooth: Law
     columns: int
     effective: float
 
-    def p(self, statistic: float) -> float:
-        """Probability of a largest score at least this large."""
-        if self.maxima.size == 0:
-            return 1.0
-        above = self.maxima.size - int(np.searchsorted(self.maxima, statistic, side="left"))
-        return (above + 1.0) / (self.maxima.size + 1.0)
+
+def critical(
+    sample: Sample,
+    ranking: Ranking,
+    predictable: Float[np.ndarray, "sample a"],
+    smooth: Float[np.ndarray, "sample b"],
+    *,
+    alpha: float = 0.05,
+    seed: int = 0,
+) -> Critical:
+    """Simulate the three tests. **Arguments:** `predictable`, `smooth`: orthonormal, and orthogonal to J."""
+    noise = _chance(sample.size, tuple((tuple(members.tolist()), dof) for members, dof in sample.parts()), seed)
+    laws = [Law(np.sort(draws)) for draws in (_maxima(ranking, noise), _squares(predictable, noise), _squares(smooth, noise))]
+    value = float(np.quantile(laws[0].draws, 1.0 - alpha)) if ranking.blocks else math.inf
+    columns = sum(block.shape[1] for _, block in ranking.blocks)
+    return Critical(alpha, value, laws[0], laws[1], laws[2], columns, _effective(value, sample, alpha))
 
 
-def critical(ranking: Ranking, *, nu: float, alpha: float = 0.05, seed: int = 0, draws: int = DRAWS) -> Critical:
-    """Simulate the largest score of all effects that can be tested; `nu` degrees of freedom tell the noise."""
+def _maxima(ranking: Ranking, noise: Float[np.ndarray, "sample draws"]) -> Float[np.ndarray, "some"]:
     if not ranking.blocks:
-        return Critical(alpha, math.inf, np.zeros(0), 0, 0.0)
+        return np.zeros(0)
+    scores = np.concatenate([block for _, block in ranking.blocks], axis=1).T @ noise
+    largest, start = np.zeros(noise.shape[1]), 0
+    for columns, block in ranking.blocks:
+        here = scores[start : start + block.shape[1]]
+        largest = np.maximum(largest, statistics(columns, here, block.T @ block))
+        start += block.shape[1]
+    return largest
+
+
+def _squares(basis: Float[np.ndarray, "sample k"], noise: Float[np.ndarray, "sample draws"]) -> Float[np.ndarray, "draws"]:
+    return np.sum((basis.T @ noise) ** 2, axis=0)
+
+
+@lru_cache(maxsize=1)
+def _chance(rows: int, parts: tuple[tuple[tuple[int, ...], float], ...], seed: int) -> Float[np.ndarray, "rows draws"]:
+    """The draws; the same for every look at one sample, so that they are kept."""
     random = np.random.default_rng(seed)
-    rows = ranking.blocks[0][1].shape[0]
-    maxima = []
-    for _ in range(draws // AT_ONCE):
-        noise = random.standard_normal((rows, AT_ONCE))
-        if math.isfinite(nu):
-            noise /= np.sqrt(random.chisquare(nu, AT_ONCE) / nu)
-        maxima.append(np.max([statistics(block, columns, noise) for columns, block in ranking.blocks], axis=0))
-    found = np.sort(np.concatenate(maxima))
-    value = float(np.quantile(found, 1.0 - alpha))
-    return Critical(alpha, value, found, sum(block.shape[1] for _, block in ranking.blocks), _effective(value, nu, alpha))
+    noise = random.standard_normal((rows, DRAWS))
+    for members, dof in parts:
+        if math.isfinite(dof):
+            noise[list(members)] /= np.sqrt(random.chisquare(dof, DRAWS) / dof)
+    return noise
 
 
-def _effective(value: float, nu: float, alpha: float) -> float:
-    one = 2.0 * float(stats.t.sf(value, nu) if math.isfinite(nu) else stats.norm.sf(value))
-    return math.log1p(-alpha) / math.log1p(-one) if 0.0 < one < 1.0 else math.nan
+def _effective(value: float, sample: Sample, alpha: float) -> float:
+    known = [dof for _, dof in sample.parts() if math.isfinite(dof)]
+    one = 2.0 * float(stats.t.sf(value, sum(known)) if known else stats.norm.sf(value))
+    return math.log1p(-alpha) / math.log1p(-one) if 0.0 < one < 1.0 else 0.0

@@ -67,17 +67,17 @@ def investigate(
     chosen, held = (heldout.in_role(subject.rows, roles, role) for role in ("fit", "veto"))
     tell(0.0, "noise and base fit")
     noise, best, mesh = _base(subject, chosen, kept)
-    base, columns = _looked(best, families, noise, alpha, seed)
+    base, columns = _looked(best, families, alpha, seed)
     singles, pairs = [], []
     if asks_for_effects(noise, base):
-        inquiry = Inquiry(base, families, held, noise.dof, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.7))
+        inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.7))
         singles = inquiry.singles()
         if not any(one.in_set for one in singles):
             pairs = inquiry.pairs(singles)
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)
     tell(0.8, "what to measure next")
     after = next_experiments(best, _rivals(base, verdict, singles), columns) if best.settled else []
-    alarms, grown = _checked(base, families, columns, mesh, noise, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))
+    alarms, grown = _checked(base, families, columns, mesh, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))
     return Findings(
         subject, families, roles, noise, mesh, base, columns, [*singles, *pairs], verdict, after, alarms, grown, seed,
         time.perf_counter() - started,
@@ -113,14 +113,14 @@ def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep
 
 
 def _looked(
-    best: Optimum, families: tuple[Family, ...], noise: Noise, alpha: float, seed: int
+    best: Optimum, families: tuple[Family, ...], alpha: float, seed: int
 ) -> tuple[Look, Mapping[str, np.ndarray]]:  # fmt: skip
     """The base fit with its ranking; one that did not settle has none, for its residual means nothing."""
     if not best.settled:
         best = dataclasses.replace(best, residual=np.zeros(best.residual.shape), jacobian=np.zeros(best.jacobian.shape))
-        return look(best, (), nu=noise.dof, alpha=alpha, seed=seed), {}
+        return look(best, (), alpha=alpha, seed=seed), {}
     columns = best.sample.subject.columns(best.raw)
-    return look(best, families, nu=noise.dof, alpha=alpha, seed=seed), columns
+    return look(best, families, alpha=alpha, seed=seed), columns
 
 
 def _rivals(base: Look, verdict: Verdict, singles: list[Explanation]) -> list[Rival]:
@@ -136,12 +136,11 @@ def _checked(
     families: tuple[Family, ...],
     columns: Mapping[str, np.ndarray],
     mesh: MeshGuard,
-    noise: Noise,
     sets: int,
     seed: int,
     tell: Tell,
 ) -> tuple[FalseAlarms, list[Planted]]:
-    machine = Machine(base, families, columns, mesh.left, noise.dof)
+    machine = Machine(base, families, columns, mesh.left)
     if not sets:
         return false_alarms(machine, seed=seed, sets=0), []
     return false_alarms(machine, seed=seed, sets=sets, tell=tell), planted(machine, seed=seed)

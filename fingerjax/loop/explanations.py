@@ -28,6 +28,7 @@ from .score import Node, combined
 from .subject import Column, Family
 
 FAMILIES, NODES = 7, 2  # refitted, best first
+CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 LEADS, RIVALS = 4, 3  # singles, and what each is paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
 
@@ -104,7 +105,6 @@ class Inquiry:
     base: Look
     families: tuple[Family, ...]
     held: Bool[np.ndarray, "rows"]
-    nu: float
     alpha: float
     seed: int
     margin: float = 0.0
@@ -120,7 +120,7 @@ class Inquiry:
     def single(self, family: str) -> Explanation:
         """The best explanation by one family, refitted once: its best nodes, and a second term where one is not enough."""
         if family not in self.found:
-            fits = [self._fitted(node) for node in self.base.ranking[family].nodes[:NODES]]
+            fits = [self._fitted(node) for node in _worth_fitting(self.base.ranking[family].nodes)]
             first = self._explained((family,), min(fits, key=_misfit), {family: self.base.best.rss})
             self.found[family] = self._second(first) or first
         return self.found[family]
@@ -139,7 +139,7 @@ class Inquiry:
         if not best.settled:
             nothing = dict.fromkeys(families, math.nan)
             return Explanation(families, self._blank(best), math.nan, math.nan, nothing, math.nan, self.needed)
-        seen = look(best, others, nu=self.nu, alpha=self.alpha, seed=self.seed)
+        seen = look(best, others, alpha=self.alpha, seed=self.seed)
         base = self.base.adequacy
         excess = max(base.misfit - base.df, 1e-300)
         eta = 1.0 - (seen.adequacy.misfit - seen.adequacy.df) / excess
@@ -235,6 +235,11 @@ def _towards(column: Column, change: float) -> float:
         change = column.sign * least
     change = math.copysign(max(abs(change), least), change)
     return column.clipped(column.null + change)
+
+
+def _worth_fitting(nodes: tuple[Node, ...]) -> list[Node]:
+    """The best nodes of a grid, as long as the score hardly tells them apart."""
+    return [node for node in nodes[:NODES] if node.statistic >= CLOSE * nodes[0].statistic]
 
 
 def _label(columns: tuple[Column, ...], number: int = 0) -> str:

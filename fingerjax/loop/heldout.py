@@ -10,6 +10,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..errors import InputError
 from .refit import Optimum
 from .subject import Rows
 from .whitening import Projection, Whitener
@@ -23,6 +24,8 @@ def roles(rows: Rows) -> dict[str, str]:
     `leave_out` stands for a veto.
     """
     chosen = {condition: rows.roles.get(condition, "fit") for condition in rows.conditions}
+    if "fit" not in chosen.values():
+        raise InputError("every condition is held out", seen=list(chosen), remedy="leave one at least to be fitted")
     if rows.roles:
         return chosen
     for where in rows.blocks.values():

@@ -33,7 +33,7 @@ class Noise:
     - `shared` (rows, rows): covariance that rows of one trial or one instrument have in common.
     - `correlation` (rows, rows): of what is left, 1 on the diagonal; None where it is the identity.
     - `source`: block -> `replicates`, `stated` or `assumed`; `repeats`: block -> the typical number of them.
-    - `nu`: degrees of freedom of pure error, inf where it is stated without saying of how many.
+    - `freedom`: block -> degrees of freedom of its pure error, inf where its noise is stated without saying from how many.
     - `terms`: block -> standard deviations of `trial gain`, `trial zero`, `trace gain`, `trace zero`, and `neighbours`.
     """
 
@@ -43,7 +43,7 @@ class Noise:
     correlation: Float[np.ndarray, "rows rows"] | None
     source: Mapping[str, str]
     repeats: Mapping[str, float]
-    nu: float
+    freedom: Mapping[str, float]
     terms: Mapping[str, dict[str, float]]
 
     def covariance(self) -> Float[np.ndarray, "rows rows"]:
@@ -68,8 +68,13 @@ class Noise:
         return self.known and self.nu >= FEWEST_DOF and min(self.repeats.values()) >= FEWEST_REPEATS
 
     @property
+    def nu(self) -> float:
+        """Degrees of freedom of pure error: those of all blocks that count any, 0 where none does."""
+        return float(sum(dof for dof in self.freedom.values() if math.isfinite(dof)))
+
+    @property
     def dof(self) -> float:
-        """Degrees of freedom for tests: `nu`, or inf where the noise is taken at its word."""
+        """Degrees of freedom for intervals: `nu`, or inf where the noise is taken at its word."""
         return self.nu if self.nu > 0 else math.inf
 
     def allows(self) -> str:
@@ -96,7 +101,7 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
     n = len(rows)
     sigma, weights, shared = np.ones(n), np.ones(n), np.zeros((n, n))
     correlation, correlated = np.eye(n), False
-    source, repeats, terms, nu = {}, {}, {}, 0.0
+    source, repeats, terms, freedom = {}, {}, {}, dict.fromkeys(rows.blocks, math.inf)
     condition, trial = (np.unique(values, return_inverse=True)[1].reshape(-1) for values in (rows.condition, rows.trial))
     for name, where in rows.blocks.items():
         found = _of_block(rows, y, name, condition[where], trial[where])
@@ -106,20 +111,21 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
             source[name], sigma[where], weights[where] = REPLICATES, found.sigma, found.weights
             shared[where, where] += _in_common(found, condition[where], trial[where])
             terms[name] = _said(found)
-            nu += found.dof
+            freedom[name] = found.dof
             if found.neighbours > 0:
                 correlation[where, where] = _along(found.neighbours, rows.along(name), condition[where], trial[where])
                 correlated = True
         elif stated is not None:
             source[name], sigma[where], terms[name] = STATED, stated, {}
             repeats[name] = max(repeats[name], float(rows.stated_repeats.get(name, 1)))
-            nu += len(set(rows.setting[where].tolist())) * max(rows.stated_repeats.get(name, 1) - 1, 0)
+            counted = len(set(rows.setting[where].tolist())) * max(rows.stated_repeats.get(name, 1) - 1, 0)
+            freedom[name] = float(counted) if counted else math.inf
         else:
             source[name], terms[name] = ASSUMED, {}
             sigma[where] = GUESS * max(float(np.sqrt(np.mean(y[where] ** 2))), 1e-300)
     for added in rows.calibration.values():
         shared += np.outer(added, added)
-    return Noise(sigma, weights, shared, correlation if correlated else None, source, repeats, nu, terms)
+    return Noise(sigma, weights, shared, correlation if correlated else None, source, repeats, freedom, terms)
 
 
 def _of_block(

@@ -3,7 +3,7 @@
     y = mean of the setting + trace (gain, zero) + e,      var e = law(mean)
 
 A trace is what one trial recorded of one condition. Outliers are known by their disagreement with their own repeats, so that a large
-misfit of the model is never taken for one; they are weighed down (Huber 1981, proposal 2) and kept.
+misfit of the model is never taken for one; they are weighed down, as Student's t does far out, and kept.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import optimize, stats
 
-TURN = 2.0  # standard deviations from which on a row counts less
+TURN = 3.0  # standard deviations from which on a row counts less, by the square of what it is beyond
 ROUNDS = 6  # of weights, traces and sizes in turn
 SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be told from noise
 FLAT = 0.1  # of a trace: smaller over larger singular value of (gain, zero), where its values differ by less than a fifth
 CLEARLY = 10.0  # fall of the deviance at which a noise that grows with the value is believed where none is expected
-# Share of the normal variance that is left when everything is cut at TURN.
-_KEPT = float(2 * (stats.norm.cdf(TURN) - 0.5 - TURN * stats.norm.pdf(TURN)) + 2 * TURN**2 * stats.norm.sf(TURN))
+# Share of the normal variance that is left under these weights: x^2 within TURN, TURN^4 / x^2 beyond.
+_KEPT = float(
+    1 - 2 * stats.norm.sf(TURN) - 2 * TURN * stats.norm.pdf(TURN) + 2 * TURN**4 * (stats.norm.pdf(TURN) / TURN - stats.norm.sf(TURN))
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +54,7 @@ def from_repeats(
     power: float,
     expected: bool,
 ) -> Repeats | None:
-    """The noise of one block, or None where no setting is repeated.
+    """The noise of one block, or None where no setting is repeated, or all repeats are copies.
 
     **Arguments:** `setting`, `condition`, `trial`: numbers that rows of the same one share; `along`: the coordinate that orders a trace;
     `power`: the noise's variance is a + b mean^power, with b = 0 unless it is `expected` or clearly seen.
@@ -62,6 +64,8 @@ def from_repeats(
         return None
     _, traces = np.unique(np.stack([condition, trial]), axis=1, return_inverse=True)
     traces = traces.reshape(-1)
+    if not np.any(measured != _first_of(measured, setting)):
+        return None
     block = _Block(measured, setting, condition, trial, traces, count, power, expected)
     split = block.first()
     for _ in range(ROUNDS):
@@ -82,6 +86,11 @@ class _Split:
     sigma: np.ndarray
     weights: np.ndarray
     dof: float
+
+
+def _first_of(measured: np.ndarray, setting: np.ndarray) -> np.ndarray:
+    """(rows,) the first row of each row's setting."""
+    return measured[np.unique(setting, return_index=True)[1]][setting]
 
 
 def _basis(centre: np.ndarray) -> np.ndarray:
@@ -119,7 +128,7 @@ class _Block:
     def again(self, before: _Split) -> _Split:
         """About means in which rows that stand out count less."""
         size = before.sigma * math.sqrt(max(before.dof, 1.0) / max(int((self.count > 1).sum()), 1))
-        weights = np.minimum(1.0, TURN * size / np.maximum(np.abs(before.left), 1e-300))
+        weights = np.minimum(1.0, TURN * size / np.maximum(np.abs(before.left), 1e-300)) ** 2
         sums = np.bincount(self.setting, weights * (self.measured - before.common))
         return self._split((sums / np.bincount(self.setting, weights))[self.setting], weights)
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from .noise import Noise
 from .subject import AbstractSubject, Evaluation
@@ -16,7 +17,8 @@ from .whitening import Whitener
 class Sample:
     """What a fit sees: r = L^-1 (y - f - D) of the rows in `chosen`, then (mean - value) / sd of each prior.
 
-    - `covariance` (rows, rows): Sigma of all rows. `offset` (rows,): D, what is added to the prediction for the sake of the mesh.
+    - `freedom`: block -> degrees of freedom that tell its noise. `covariance` (rows, rows): Sigma of all rows.
+    - `offset` (rows,): D, what is added to the prediction for the sake of the mesh.
     """
 
     subject: AbstractSubject
@@ -25,12 +27,13 @@ class Sample:
     covariance: Float[np.ndarray, "rows rows"]
     offset: Float[np.ndarray, "rows"]
     whiten: Whitener
+    freedom: Mapping[str, float]
 
     @classmethod
     def of(cls, subject: AbstractSubject, noise: Noise, chosen: Bool[np.ndarray, "rows"]) -> Sample:
         covariance = noise.covariance()
         whiten = Whitener.of(covariance[np.ix_(chosen, chosen)])
-        return cls(subject, subject.rows.measured, chosen, covariance, np.zeros(len(chosen)), whiten)
+        return cls(subject, subject.rows.measured, chosen, covariance, np.zeros(len(chosen)), whiten, noise.freedom)
 
     def corrected(self, offset: Float[np.ndarray, "rows"], left: Float[np.ndarray, "rows rows"] | None = None) -> Sample:
         """The same with the mesh's correction, and the covariance of what that leaves added."""
@@ -72,6 +75,11 @@ class Sample:
     def size(self) -> int:
         """Number of fitted rows and priors."""
         return int(self.chosen.sum()) + len(self.subject.priors)
+
+    def parts(self) -> list[tuple[Int[np.ndarray, "members"], float]]:
+        """The fitted rows of each block by their number in the sample, and the degrees of freedom that tell their noise."""
+        blocks = self.subject.rows.block[self.chosen]
+        return [(np.flatnonzero(blocks == name), float(dof)) for name, dof in self.freedom.items()]
 
     def settings(self) -> Float[np.ndarray, "sample settings"]:
         """Whitened indicator of each thing that was measured: what a model can predict at all, priors included."""

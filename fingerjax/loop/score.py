@@ -82,7 +82,7 @@ class Ranking:
     """
 
     scores: tuple[Score, ...]
-    blocks: tuple[tuple[tuple[Column, ...], Float[np.ndarray, "sample k"]], ...]
+    blocks: tuple[tuple[tuple[Column, ...], Float[np.ndarray, "sample _"]], ...]
 
     def __getitem__(self, family: str) -> Score:
         return next(score for score in self.scores if score.family.name == family)
@@ -124,12 +124,8 @@ class _Work:
     @classmethod
     def of(cls, best: Optimum, wanted: Sequence[Column], columns: Mapping[str, np.ndarray]) -> _Work:
         keys = [column.key for column in wanted]
-        stacked = np.array([columns[key] for key in keys], dtype=float).reshape(len(keys), -1).T
-        stacked = (
-            np.where(np.isfinite(stacked).all(axis=0), stacked, 0.0).reshape(-1, len(keys))
-            if keys
-            else np.zeros((len(best.at.prediction), 0))
-        )
+        stacked = np.array([columns[key] for key in keys], dtype=float).reshape(len(keys), len(best.at.prediction)).T
+        stacked = np.where(np.isfinite(stacked).all(axis=0), stacked, 0.0)
         whole = best.sample.columns(stacked)
         rest = best.projection(whole)
         return cls(best, best.projection(best.residual), dict(zip(keys, whole.T, strict=True)), dict(zip(keys, rest.T, strict=True)))
@@ -150,7 +146,7 @@ class _Work:
         lengths = np.array([np.linalg.norm(self.rest[column.key]) for column in columns])
         sizes = np.linalg.lstsq(block, self.residual, rcond=1e-9)[0] / lengths
         change = {column.key: float(size) for column, size in zip(columns, sizes, strict=True)}
-        return Node(columns, float(statistics(block, columns, self.residual[:, None])[0]), change)
+        return Node(columns, float(statistics(columns, (block.T @ self.residual)[:, None], block.T @ block)[0]), change)
 
     def score(self, family: Family) -> Score:
         seen = [tuple(one for one in variant if self.felt(one) and self.left(one) >= LEFT) for variant in family.variants]
@@ -185,14 +181,16 @@ class _Work:
 
 
 def statistics(
-    block: Float[np.ndarray, "sample k"], columns: Sequence[Column], residuals: Float[np.ndarray, "sample draws"]
+    columns: Sequence[Column], scores: Float[np.ndarray, "k draws"], gram: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "draws"]:
-    """The statistic of one variant for many residuals: |z|, z on its own side, or the lowered root of a block's."""
-    scores = block.T @ residuals
+    """The statistic of one node for many residuals: |z|, z on its own side, or the lowered root of a block's.
+
+    **Arguments:** `scores`: what its normalised columns and the residuals have in common; `gram`: those columns among themselves.
+    """
     if len(columns) == 1:
         sign = columns[0].sign
         return np.maximum(sign * scores[0], 0.0) if sign else np.abs(scores[0])
-    values, vectors = np.linalg.eigh(block.T @ block)
+    values, vectors = np.linalg.eigh(gram)
     kept = values > 1e-9 * values[-1]
     squares = np.sum((vectors[:, kept].T @ scores) ** 2 / values[kept][:, None], axis=0)
     by_chance = stats.chi2.ppf(_QUANTILE, int(kept.sum())) - stats.chi2.ppf(_QUANTILE, 1)

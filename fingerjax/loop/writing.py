@@ -123,7 +123,7 @@ def _rms(values: Float[np.ndarray, "some"]) -> float:
 def _candidate(found: Findings, score: Score) -> record.CandidateRecord:
     columns = score.family.columns
     names = [parameter.name for parameter in found.subject.parameters]
-    adjusted = found.base.critical.p(score.statistic) if score.testable else math.nan
+    adjusted = found.base.critical.largest.p(score.statistic) if score.testable else math.nan
     return record.CandidateRecord(
         family=score.family.name,
         columns=[column.key for column in columns],
