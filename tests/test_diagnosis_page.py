@@ -204,6 +204,23 @@ def test_both_of_a_pair_are_marked() -> None:
     assert rows["nail compliance"]["in_the_set"] and rows["contact offset"]["in_the_set"] and not rows["tip radius"]["in_the_set"]
 
 
+def test_a_trace_that_fits_the_wrong_way_round_speaks_for_nothing() -> None:
+    said = record("attributed")
+    said["candidates"][1] |= {"z": -9.8, "epc": {"bed_compliance.size": -0.07}, "bound": {"bed_compliance.size": [0.0, 0.3]}}
+    rows = loop_figures.effect_rows(said)
+    assert [row["effect"] for row in rows][-2:] == ["bed compliance", "force gain"]
+    assert [row["effect"] for row in rows if not row["possible"]] == ["bed compliance"]
+    assert rows[-2]["score"] == -9.8 and rows[-2]["remark"].startswith("the wrong way round")
+
+
+def test_experiments_that_tell_nothing_apart_are_called_so() -> None:
+    said = record("ambiguous")
+    assert not any("None of those" in one for one in loop_words.about_alike(said))
+    said["next_experiment"] = said["next_experiment"][:1]
+    said["next_experiment"][0]["d2_after"] = 0.5
+    assert "None of those considered gets there: the best reaches 0.5." in " ".join(loop_words.about_alike(said))
+
+
 def test_the_ranking_puts_what_could_not_be_tested_last() -> None:
     said = record("attributed")
     names = [one["family"] for one in candidates(said)]

@@ -3,7 +3,7 @@
 | figure | rows |
 |---|---|
 | `errors` | measurement, used, rows, before_share_of_data, after_share_of_data, before_over_noise, after_over_noise |
-| `effects` | effect, acts_on, score, critical, testable, in_the_set, size, smallest_visible, plausible_size, unit, remark |
+| `effects` | effect, acts_on, score, critical, testable, in_the_set, size, smallest_visible, plausible_size, unit, possible, remark |
 | `parameters` | parameter, unit, before, before_lower, before_upper, after, after_lower, after_upper, ... |
 | `next_experiments` | condition, repeats, apart_now, apart_after, tells_apart |
 | `conditions` | measurement, condition, used, rows, ..., share_of_misfit_before, share_of_misfit_after |
@@ -24,10 +24,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from fingerjax.report.figures import COLOURS, PAPER, draw, numbers
-from fingerjax.report.loop_record import Record, candidates, condition_rows, critical, error_rows, explanations, maybe
+from fingerjax.report.loop_record import Record, candidates, condition_rows, critical, error_rows, explanations, maybe, wrong_way
 from fingerjax.report.loop_tables import next_experiments as next_table
-from fingerjax.report.loop_tables import parameter_rows, size_of, unit_of
-from fingerjax.report.loop_words import ACTS_ON, remedy, short, spoken
+from fingerjax.report.loop_tables import parameter_rows, remark, size_of, unit_of
+from fingerjax.report.loop_words import ACTS_ON, short, spoken
 from fingerjax.report.records import Figure, Row
 
 BEFORE, AFTER = PAPER, COLOURS[0]
@@ -130,7 +130,8 @@ def effect_rows(record: Record) -> list[Row]:
                 "smallest_visible": maybe(one.get("mde")),
                 "plausible_size": maybe(plausible),
                 "unit": unit_of(one),
-                "remark": "" if testable else remedy(one),
+                "possible": not wrong_way(one),
+                "remark": remark(one),
             }
         )
     return rows
@@ -150,7 +151,7 @@ def effects(record: Record, name: str = "loop_effects") -> Figure:
 
     caption = (
         "Effects by how well their traces match what is left (left half), and how small an effect could have been seen (right half). "
-        "Bold: still possible explanations. Colours: what an effect acts on."
+        "Bold: still possible explanations. Pale: the trace fits only the wrong way round. Colours: what an effect acts on."
     )
     return draw(name, caption, rows, paint, (7.6, 1.5 + LINE * len(rows)))
 
@@ -161,7 +162,11 @@ def _scores(axes: Axes, rows: Sequence[Row], place: np.ndarray) -> None:
     furthest = float(np.nanmax(np.append(scores, line), initial=1.0))
     for row, height, score in zip(rows, place, scores, strict=True):
         if row["testable"] and math.isfinite(score):
-            axes.barh(height, score, 0.66, color=ACTING.get(row["acts_on"], PAPER))
+            axes.barh(height, score, 0.66, color=ACTING.get(row["acts_on"], PAPER), alpha=1.0 if row["possible"] else 0.25)
+            if not row["possible"]:
+                axes.annotate(
+                    "the wrong way round", (0.0, height), (4, 0), textcoords="offset points", va="center", fontsize=7.5, style="italic"
+                )
         else:
             style: dict[str, Any] = {"fontsize": 7.5, "color": "#666666", "style": "italic"}
             box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
@@ -190,6 +195,7 @@ def _sizes(axes: Axes, rows: Sequence[Row], place: np.ndarray) -> None:
     seen, size = numbers(rows, "smallest_visible") / scale, np.abs(numbers(rows, "size")) / scale
     testable = np.array([row["testable"] for row in rows], bool)
     found = np.abs(numbers(rows, "score")) > np.nan_to_num(numbers(rows, "critical"), nan=np.inf)
+    found &= np.array([row["possible"] for row in rows], bool)
     for mask, colour in ((found & testable, "black"), (~found & testable, "white")):
         axes.plot(size[mask], place[mask], "D", color="black", markerfacecolor=colour, markersize=4.2, linestyle="none", zorder=3)
     axes.plot(seen[testable], place[testable], "|", color="black", markersize=11, markeredgewidth=1.8, linestyle="none", zorder=2)

@@ -181,11 +181,24 @@ def candidates(record: Record) -> list[dict[str, Any]]:
     """Effects that were asked for: those that could be tested by falling size of their score, then the others."""
     said = [dict(one) for one in record.get("candidates") or []]
 
-    def order(one: Record) -> tuple[bool, float]:
+    def order(one: Record) -> tuple[bool, bool, float]:
         score = abs(number(one.get("z")))
-        return one.get("testable") is False, -score if math.isfinite(score) else 0.0
+        return one.get("testable") is False, wrong_way(one), -score if math.isfinite(score) else 0.0
 
     return sorted(said, key=order)
+
+
+def wrong_way(one: Record) -> bool:
+    """Whether every number of an effect is estimated on the side of its null where it cannot be: then its score speaks for nothing."""
+    sizes, nulls, bounds = (one.get(key) for key in ("epc", "null", "bound"))
+    if not all(isinstance(said, Mapping) for said in (sizes, nulls, bounds)) or not sizes:
+        return False
+    return all(_outside(number(size), number(nulls.get(key)), bounds.get(key)) for key, size in sizes.items())
+
+
+def _outside(size: float, null: float, bound: Any) -> bool:
+    lower, upper = (number(bound[0]), number(bound[1])) if isinstance(bound, (list, tuple)) and len(bound) == 2 else (math.nan, math.nan)
+    return (lower >= null and size < 0) or (upper <= null and size > 0)
 
 
 def absorbed(record: Record) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from fingerjax.report.loop_record import (
     maybe,
     number,
     value_of,
+    wrong_way,
 )
 from fingerjax.report.loop_words import remedy, short, spoken
 from fingerjax.report.records import Row, Table
@@ -41,7 +42,6 @@ def effects(record: Record) -> Table:
 
 
 def _effect(record: Record, one: Mapping[str, Any]) -> Row:
-    testable = one.get("testable") is not False
     return {
         "effect": spoken(one["family"]),
         "acts_on": one.get("acts_on") or "",
@@ -53,8 +53,15 @@ def _effect(record: Record, one: Mapping[str, Any]) -> Row:
         "unit": unit_of(one),
         "trace_left": maybe(one.get("fraction_left")),
         "in_the_set": str(one["family"]) in explanations(record),
-        "remark": "" if testable else remedy(one),
+        "remark": remark(one),
     }
+
+
+def remark(one: Mapping[str, Any]) -> str:
+    """Why an effect could not be tested, or why its score speaks for nothing; empty for the others."""
+    if one.get("testable") is False:
+        return remedy(one)
+    return "the wrong way round: it can only be the other way" if wrong_way(one) else ""
 
 
 def size_of(one: Mapping[str, Any]) -> tuple[float, float]:
@@ -80,8 +87,8 @@ def refits(record: Record) -> Table:
     fitted = [one for one in candidates(record) if isinstance(one.get("refit"), Mapping)]
     rows = [_refit(record, one) for one in sorted(fitted, key=lambda one: -_finite(one["refit"].get("delta")))]
     note = (
-        "Misfit removed: drop of the summed squares over squared noise. Explained: share of the misfit beyond noise. Strongest rival: the "
-        "effect that would explain most of what still remains. Held out, change: of the squared misfit there; negative is better. BIC and "
+        "Misfit removed: drop of the summed squares over squared noise. Explained: share of the misfit beyond noise (above 1 by chance). "
+        "Strongest rival: the effect that would explain most of what still remains. Held out, change: of the squared misfit there; negative is better. BIC and "
         "log evidence weigh the misfit against the number of parameters: a falling BIC and a gain speak for the effect."
     )
     return Table("loop_refits", "Fitted anew with each of the best effects", rows, note)

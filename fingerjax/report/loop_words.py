@@ -184,6 +184,9 @@ def about_alike(record: Record) -> list[str]:
             "The next experiments are ranked by how far apart they would push the two explanations that are hardest to tell apart. "
             "From 13 on the right one is found in 95 % of repeats."
         )
+        reach = max((number(one.get("d2_after")) for one in record["next_experiment"]), default=math.nan)
+        if reach < 13:
+            said.append(f"None of those considered gets there: the best reaches {short(reach)}. Think of another kind of measurement.")
     return said
 
 
