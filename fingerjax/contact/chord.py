@@ -12,6 +12,7 @@ in places costs some iterations more, not the answer.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -65,6 +66,12 @@ class Chord:
         self.condensed = condensed
         self.compliance = condensed.held.matrix[np.ix_(own, own)]
 
+    @classmethod
+    def of(cls, condensed: Callable[[], AbstractCondensed], own: np.ndarray) -> Chord | None:
+        """That of a body which is condensed when it is asked for; None where its solves did not converge."""
+        found = condensed()
+        return cls(found, own) if found.held.converged else None
+
     def __call__(self, load: np.ndarray) -> np.ndarray:
         """Displacement (3n,), mm, under nodal forces (3n,), N."""
         return np.asarray(self.condensed.answer(jnp.asarray(load).reshape(1, -1, 3))).ravel()
@@ -77,7 +84,7 @@ def tangent_chord(tissue: Tissue, place: Place, u: np.ndarray) -> Chord | None:
         condensed = tissue.solver.reduce(there, place.columns)
     except Indefinite:
         return None
-    return Chord(condensed, np.arange(place.columns.count)) if condensed.held.converged else None
+    return Chord.of(lambda: condensed, np.arange(place.columns.count))
 
 
 class Chording(eqx.Module):

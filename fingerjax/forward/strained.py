@@ -11,7 +11,8 @@ the displacement gradient.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -27,6 +28,7 @@ from ..contact.indentation import Contact
 from ..contact.strained import Indenting
 from ..effects.records import Push
 from ..fem.columns import Columns
+from ..fem.condensed import AbstractCondensed
 from ..fem.equilibrium import Newton, State, Tissue, find
 from ..fem.tissue import AbstractTissue
 from .model import Model
@@ -39,12 +41,13 @@ RENEWALS = 4  # tangents that are tried for one case before it is left to Newton
 
 
 class Ended(NamedTuple):
-    """How one case ended: iterations and factorisations in all, those of Newton's method apart, and the error of the state."""
+    """How one case ended: iterations and factorisations in all, those of Newton's method apart, and whether a tangent was kept at last."""
 
     rest: Resting | None
     iterations: int
     factorisations: int
     newton: int
+    tangent: bool
     result: RESULTS
 
 
@@ -85,16 +88,13 @@ def strained_readings(
     cases: list[list[Ended | None]] = [[None] * len(rig.pose) for rig in rigs]
     for variant, material in enumerate(model.instruments.materials(values)):
         tissue = Tissue(model.body, law, material.lame(), model.solver)
-        linear = model.solver.condense(model.body, tissue.lame, model.columns)
+        condensed = _once(lambda tissue=tissue: model.solver.condense(model.body, tissue.lame, model.columns))
         for number, rig in enumerate(rigs):
             for pose, path in paths(rig, variant):
                 place, own = place_of(model, rig, pose)
-                warm = [None if start is None else start.cases[number][case].rest for case in path]
+                warm = [None if start is None else start.cases[number][case] for case in path]
                 loads = [imposed_on(model, values, rig, case) for case in path]
-                if not linear.held.converged:
-                    cases[number] = [Ended(None, 0, 0, 0, RESULTS.not_converged)] * len(rig.pose)
-                    continue
-                followed = _followed(tissue, place, Chord(linear, own), loads, warm, chording)
+                followed = _followed(tissue, place, partial(Chord.of, condensed, own), loads, warm, chording)
                 for case, ended in zip(path, followed, strict=True):
                     cases[number][case] = ended
     found = tuple(tuple(ended for ended in rig if ended is not None) for rig in cases)
@@ -127,21 +127,38 @@ def place_of(model: Model, rig: Rig, pose: int) -> tuple[Place, np.ndarray]:
     return Place(columns, jax.tree.map(lambda leaf: leaf[pose], rig.interface)), own
 
 
+def _once(make: Callable[[], AbstractCondensed]) -> Callable[[], AbstractCondensed]:
+    """Made when it is first asked for: paths that begin warm with their own tangents need no linear body."""
+    return lru_cache(maxsize=1)(make)
+
+
 def _followed(
-    tissue: Tissue, place: Place, chord: Chord, loads: list[Imposed], warm: list[Resting | None], chording: Chording
+    tissue: Tissue, place: Place, linear: Callable[[], Chord | None], loads: list[Imposed], warm: list[Ended | None], chording: Chording
 ) -> Iterator[Ended]:
     """The equilibria of one load path, each from the one before or from its own warm start."""
     last: Resting | None = None
+    chord: Chord | None = None
+    tangent, renewed = False, 0
     for imposed, own in zip(loads, warm, strict=True):
-        begin = last if own is None else own
+        begin = last
+        if own is not None and own.rest is not None:
+            begin = own.rest
+            if own.tangent and not tangent:
+                chord, renewed = tangent_chord(tissue, place, begin.displacement), 1
+                tangent = chord is not None
+        chord = linear() if chord is None else chord
+        if chord is None:
+            yield Ended(None, 0, 0, 0, False, RESULTS.not_converged)
+            continue
         if begin is None:
-            u, active = np.zeros(3 * place.columns.nodes), place.overlapped(imposed)
+            from_ = np.zeros(3 * place.columns.nodes), place.overlapped(imposed)
         else:
-            u, active = begin.displacement, begin.contact.active
-        ended, chord = _found(tissue, place, chord, imposed, (u, active), last, chording)
-        if ended.rest is not None:
-            last = ended.rest
-        yield ended
+            from_ = begin.displacement, begin.contact.active
+        ended, chord = _found(tissue, place, chord, imposed, from_, last, chording)
+        last = last if ended.rest is None else ended.rest
+        tangent = tangent or ended.factorisations > 0
+        yield ended._replace(factorisations=ended.factorisations + renewed, tangent=tangent)
+        renewed = 0
 
 
 def _found(
@@ -159,7 +176,7 @@ def _found(
         ended = Search(tissue, place, chord, imposed, chording).run(u, active)
         iterations += ended.iterations
         if ended.result.ok:
-            return Ended(ended.rest, iterations, factorisations, 0, ended.result), chord
+            return Ended(ended.rest, iterations, factorisations, 0, False, ended.result), chord
         if ended.rest is None:
             break
         u, active = ended.rest.displacement, ended.rest.contact.active
@@ -169,16 +186,12 @@ def _found(
         chord, factorisations = renewed, factorisations + 1
     travel, force = (None if value is None else jnp.asarray(value) for value in imposed)
     found = find(tissue, Indenting(place.columns, place.interface, travel, force), Newton(chording.tolerance), _state(last))
-    newton, result, rest = found.iterations, found.result, None
-    if result.ok:
-        near = tangent_chord(tissue, place, np.asarray(found.state.displacement).ravel())
-        if near is not None:
-            chord = near
-            again = Search(tissue, place, chord, imposed, chording).run(
-                np.asarray(found.state.displacement).ravel(), found.state.detail.active
-            )
-            rest, result = (again.rest, again.result) if again.result.ok else (None, again.result)
-    return Ended(rest, iterations, factorisations, newton, result), chord
+    near = tangent_chord(tissue, place, np.asarray(found.state.displacement).ravel()) if found.result.ok else None
+    if near is None:
+        return Ended(None, iterations, factorisations, found.iterations, False, found.result), chord
+    again = Search(tissue, place, near, imposed, chording).run(np.asarray(found.state.displacement).ravel(), found.state.detail.active)
+    rest = again.rest if again.result.ok else None
+    return Ended(rest, iterations + again.iterations, factorisations + 1, found.iterations, False, again.result), near
 
 
 def _state(rest: Resting | None) -> State | None:

@@ -25,7 +25,7 @@ from ..fem.condensed import AbstractCondensed
 from ..fem.energy import internal_force
 from ..fem.equilibrium import Tissue
 from ..fem.operator import Lame
-from ..fem.tissue import AbstractTissue
+from ..fem.tissue import AbstractTissue, Linear
 from .model import Model
 from .pressing import Known, settle_with
 from .problem import Health
@@ -36,6 +36,7 @@ from .wiring import Values
 
 Vector = Float[Array, " d"]
 Law = Callable[[Vector], AbstractTissue]
+LINEAR = 1e-9  # relative difference of two forces up to which one law is another
 Of = Callable[[Vector], tuple[Values, AbstractTissue]]
 
 
@@ -45,18 +46,26 @@ def law_tangent(model: Model, values: Values, law: Law, null: Vector) -> Float[A
     One linear condensation, and one more solve for each case and parameter, however strained the law would have them. Raises `ValueError`
     where the law is not linear at `null`.
     """
-    bodies, lames = [], [material.lame() for material in model.instruments.materials(values)]
-    for lame in lames:
-        bodies.append(model.solver.condense(model.body, lame, model.columns))
+    lames = [material.lame() for material in model.instruments.materials(values)]
+    bodies = [model.solver.condense(model.body, lame, model.columns) for lame in lames]
 
     def change(variant: int, condensed: AbstractCondensed, forces: Float[Array, "k m"]) -> Array:
         u = condensed.displacement(forces)
+        if len(u) and _strangeness(model.body, law(null), lames[variant], u[0]) > LINEAR:
+            raise ValueError(f"the law is not linear at null={null}; give the parameters at which it is Hooke's law")
         moved = [condensed.readings(_pushed(model.body, law, null, lames[variant], each)) for each in u]
         return -jnp.stack(moved) if moved else jnp.zeros((0, len(null), model.columns.count))
 
     directions = jnp.zeros((len(lames), len(null), *lames[0].shape))
     known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
     return _law_columns(model.instruments, known, dict(values), null)
+
+
+@eqx.filter_jit
+def _strangeness(body: Body, law: AbstractTissue, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, ""]:
+    """How far a law's internal force is from that of Hooke's, relative."""
+    force = internal_force(body, Linear(), lame, u)
+    return jnp.linalg.norm(internal_force(body, law, lame, u) - force) / jnp.linalg.norm(force)
 
 
 @eqx.filter_jit
