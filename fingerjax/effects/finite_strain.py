@@ -15,7 +15,10 @@ class FiniteStrainEffect(Effect):
     acts_on = "tissue"
     leaves = "Deep indentations are stiffer, and the skin bulges less, than small-strain elasticity has it."
     confused_with = "strain_stiffening, contact_offset."
-    parameters = (Size("homotopy", "1", 0.5, 0.0, 1.0, sign=1, step=1.0),)
+    parameters = (Size("homotopy", "1", 0.5, 0.0, 1.0, sign=1),)
 
     def law(self, law: AbstractTissue, amount: Amount) -> AbstractTissue:
-        return law if isinstance(law, Exponential) else FiniteStrain(jnp.asarray(amount["homotopy"], float))
+        share = jnp.asarray(amount["homotopy"], float)
+        if isinstance(law, Exponential):
+            return Exponential(FiniteStrain(share), law.stiffening)
+        return FiniteStrain(share)

@@ -221,10 +221,10 @@ def _pooled(measurement: Measurement) -> float | None:
     return float(np.sqrt(spread / freedom)) if freedom >= 3 and spread > 0 else None
 
 
-def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, tell: Tell = unheard) -> Assembled:
+def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: bool = True, tell: Tell = unheard) -> Assembled:
     """Mesh a study's finger and lay its measurements out on it. `tell(share, what)` hears of the progress.
 
-    `size`: elements so many times as large as the study's own, everywhere.
+    `size`: elements so many times as large as the study's own, everywhere. `focused`: smaller ones under sharp indenters and at receptors.
 
     **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
     outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
@@ -233,7 +233,7 @@ def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, tell: Tel
     _check_labels(study, wired)
     planned = plans(study.measurements, solid, wired)
     tell(0.9, "meshing")
-    finger = mesh_of(study, solid, foci(planned, solid, study.finger.resolution.pad_mm), size)
+    finger = mesh_of(study, solid, foci(planned, solid, study.finger.resolution.pad_mm) if focused else (), size)
     return lay_out(study, solid, finger, wired, solver)
 
 

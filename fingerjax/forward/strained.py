@@ -88,7 +88,7 @@ def strained_readings(
     cases: list[list[Ended | None]] = [[None] * len(rig.pose) for rig in rigs]
     for variant, material in enumerate(model.instruments.materials(values)):
         tissue = Tissue(model.body, law, material.lame(), model.solver)
-        condensed = _once(lambda tissue=tissue: model.solver.condense(model.body, tissue.lame, model.columns))
+        condensed = _once(partial(model.solver.condense, model.body, tissue.lame, model.columns))
         for number, rig in enumerate(rigs):
             for pose, path in paths(rig, variant):
                 place, own = place_of(model, rig, pose)

@@ -244,7 +244,7 @@ def left(block: Block, mask: np.ndarray) -> Left:
     size = rms(block.measured)
     before, after, sigma = block.left("before")[mask], block.left("after")[mask], block.sigma[mask]
     share = [rms(one) / size if size > 0 else math.nan for one in (before, after)]
-    return Left(int(mask.sum()), *share, rms(_over(before, sigma)), rms(_over(after, sigma)))
+    return Left(int(mask.sum()), share[0], share[1], rms(_over(before, sigma)), rms(_over(after, sigma)))
 
 
 def _over(values: np.ndarray, sigma: np.ndarray) -> np.ndarray:

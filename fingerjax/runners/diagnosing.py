@@ -61,7 +61,7 @@ def subject_of(
         return FingerSubject(own, asked, solver=solver)
     tell(0.4, "meshing again")
     if coarser > 1 / FINER**0.5:
-        subject = FingerSubject(assemble(study, solver=solver, size=coarser), asked, solver=solver)
+        subject = FingerSubject(assemble(study, solver=solver, size=coarser), asked, solver=solver, size=coarser)
         subject.refine(own)
         return subject
     subject = FingerSubject(own, asked, solver=solver)

@@ -20,11 +20,10 @@ from ..errors import InputError
 from ..fem.solver import AbstractSolver, solver_for
 from ..fem.tissue import AbstractTissue, Linear
 from ..forward.inner import Force, between, inner_slopes, model_body, of_law
-from ..forward.model import Assembled, lay_out
+from ..forward.model import Assembled, assemble, lay_out
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..forward.strained import Strained, strained_readings
-from ..forward.strained_levels import coarser
 from ..forward.strained_slopes import strained_jacobian
 from ..loop.subject import AbstractSubject, Column, Evaluation, Family
 from ..parameters import Parameter
@@ -34,19 +33,19 @@ from .rows import rows_of
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
-ROUGH, COARSEST = 5_000, 2.0  # nodes of the mesh on which a law is followed; how much larger its elements may be
+ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
 GROWTH = 1.3  # power by which nodes grow as elements shrink: thin layers keep theirs
 REACH = 3.0  # plausible sizes from the null to the bounds
 
 
 class FingerSubject(AbstractSubject):
-    """A study on its mesh. `absent`: effect -> why the data cannot show it."""
+    """A study on its mesh, with elements `size` times as large as its own. `absent`: effect -> why the data cannot show it."""
 
     version = "1"
 
-    def __init__(self, ready: Assembled, effects: tuple[Effect, ...], *, solver: str = "auto", tell: Tell = unheard):
+    def __init__(self, ready: Assembled, effects: tuple[Effect, ...], *, solver: str = "auto", size: float = 1.0, tell: Tell = unheard):
         study = ready.study
-        self.study, self.solver, self.tell = study, solver, tell
+        self.study, self.solver, self.size, self.tell = study, solver, size, tell
         self.absent = {effect.name: why for effect in effects if (why := effect.absent(study.measurements)) is not None}
         self.effects = {effect.name: effect for effect in effects if effect.name not in self.absent}
         self.compiled = tuple(effect for effect in self.effects.values() if effect.traced)
@@ -232,8 +231,8 @@ class FingerSubject(AbstractSubject):
 
     def _rough_model(self, amounts: Amounts) -> Assembled:
         if self._rough is None:
-            share = min((len(self.base.mesh.nodes) / ROUGH) ** (1 / GROWTH), COARSEST)
-            self._rough = _with(coarser(self.base, share), Effects(self.compiled), self.solver) if share > 1 else self.base
+            rough = assemble(self.study, solver=self.solver, size=ROUGH * self.size, focused=False)
+            self._rough = _with(rough, Effects(self.compiled), self.solver)
         made = [pair for pair in self._made_of(amounts) if not pair[0].is_law]
         return self._changed(self._rough, Effects(self.compiled, tuple(made))) if made else self._rough
 
