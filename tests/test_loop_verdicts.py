@@ -211,13 +211,11 @@ class _Renamed(Toy):
     def __init__(self, **more: object) -> None:
         super().__init__(**more)  # type: ignore[arg-type]
         self.families = tuple(
-            Family(_other(family.name), *(tuple(self._named(one) for one in family.columns), family.acts_on), second=())
-            if not family.second
-            else Family(
-                _other(family.name), tuple(map(self._named, family.columns)), "time", second=tuple(map(self._named, family.second))
+            Family(
+                _other(family.name), tuple(map(self._named, family.columns)), family.acts_on, second=tuple(map(self._named, family.second))
             )
             for family in sorted(FAMILIES, key=lambda one: _other(one.name))
-        )  # fmt: skip
+        )
 
     def _named(self, column: Column) -> Column:
         return dataclasses.replace(column, family=_other(column.family))
