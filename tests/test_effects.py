@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -19,7 +20,7 @@ from fingerjax.fem.body import body
 from fingerjax.fem.solver import Factorised, MultigridCG, direct_available, solver_for
 from fingerjax.fem.springs import bed, facets, film, springs, tension
 from fingerjax.fem.stiffness import Elastic
-from fingerjax.forward import Assembled, assemble
+from fingerjax.forward import Assembled, assemble, rigs
 from fingerjax.forward.model import lay_out
 from fingerjax.runners.subject import FingerSubject
 
@@ -40,6 +41,14 @@ SWEEP: Rows = [{"position_mm": s, "depth_mm": 0.8, "rate_Hz": 40.0 - 5 * abs(s),
 EVERYTHING = OF | {"ramp": (HELD_RAMP, RAMP), "bar": (OF["bar"][0], SWEEP)}
 COMPILED = [effect for effect in catalogue() if effect.traced]
 MADE = [effect for effect in catalogue() if not effect.traced and effect.acts_on != "tissue"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rigs, "LINE_SPACING", 2.0)
+        patch.setattr(rigs, "RECEPTOR_SPACING", 4.0)
+        yield
 
 
 @pytest.fixture(scope="module")

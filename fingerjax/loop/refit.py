@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from .sample import Sample
 from .subject import Column, Evaluation
@@ -25,6 +25,7 @@ from .whitening import Projection
 LEVEL = 1e-6  # largest cosine between the residual and a free column at an optimum
 NEAR = 1e-3  # standard errors that may still be gained at an optimum
 EVALUATIONS = 60  # of one search
+STEPS, LONGEST = 20, 1.5  # damped steps; how far one may go, in raw parameters and in plausible sizes of effects
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
 AT_BOUND = 5e-3  # share of the plausible range from its end within which an effect is at its bound
@@ -186,11 +187,38 @@ def _search(points: _Points, start: np.ndarray) -> np.ndarray:
     start = np.clip(start, lower + room, upper - room)
     if not points.at(start).usable:
         return start
+    near = _damped(points, start)
+    if near is not None:
+        return _polished(points, near)
     found = least_squares(
         points.residual, start, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-9, xtol=1e-9, gtol=None,
         max_nfev=EVALUATIONS,
     )  # fmt: skip
     return _polished(points, found.x)
+
+
+def _damped(points: _Points, x: np.ndarray) -> np.ndarray | None:
+    """Gauss-Newton steps inside the bounds, damped where they lead up (Levenberg 1944); None where they do not end soon.
+
+    A model that is nearly linear, as most are near their data, is at its optimum after a handful of them.
+    """
+    lower, upper = points.box()
+    residual, damping = points.residual(x), 0.0
+    for _ in range(STEPS):
+        jacobian = points.jacobian(x)
+        free = _free(x, jacobian.T @ residual, lower, upper)
+        if np.linalg.norm(Projection.of(jacobian[:, free]).basis.T @ residual) < 0.3 * NEAR:
+            return x
+        below = math.sqrt(damping) * np.diag(np.linalg.norm(jacobian, axis=0))
+        room = np.maximum(lower - x, -LONGEST) - 1e-12, np.minimum(upper - x, LONGEST) + 1e-12
+        step = lsq_linear(np.concatenate([jacobian, below]), np.concatenate([-residual, np.zeros(len(x))]), bounds=room).x
+        after = np.clip(x + step, lower, upper)
+        moved = points.residual(after)
+        if np.isfinite(moved).all() and moved @ moved <= residual @ residual:
+            x, residual, damping = after, moved, 0.1 * damping if damping > 1e-4 else 0.0
+        else:
+            damping = max(10 * damping, 1e-3)
+    return None
 
 
 def _polished(points: _Points, x: np.ndarray) -> np.ndarray:

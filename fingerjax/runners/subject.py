@@ -60,6 +60,7 @@ class FingerSubject(AbstractSubject):
         self._made: OrderedDict[str, Assembled | None] = OrderedDict()
         self._fine: Assembled | None = None
         self._rough: Assembled | None = None
+        self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
         self._last: Strained | None = None
         self._solvers: dict[tuple[int, bytes], AbstractSolver] = {}
 
@@ -80,7 +81,13 @@ class FingerSubject(AbstractSubject):
         return Evaluation(value, theta, np.stack(columns, axis=1) if columns else np.zeros((len(value), 0)))
 
     def columns(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float] | None = None) -> Mapping[str, Float[np.ndarray, " rows"]]:
-        phi = {key: value for key, value in (phi or {}).items() if not self._is_law(key)}  # their own slopes move little with a law
+        """What every effect would leave at the null; with effects awake, what was found before: directions move little."""
+        if self._left is None or (not phi and not np.array_equal(self._left[0], raw)):
+            self._left = np.array(raw), self._columns(raw)
+        return self._left[1]
+
+    def _columns(self, raw: Float[np.ndarray, " p"]) -> dict[str, np.ndarray]:
+        phi: dict[str, float] = {}
         amounts = self._amounts(phi)
         base = self._value(raw, phi)
         if base is None:
