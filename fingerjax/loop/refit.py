@@ -3,7 +3,7 @@
     minimise |L^-1 (y - f(theta, phi) - D)|^2 + |theta priors|^2 + sum ((phi - null) / scale)^2     inside the bounds
 
 by the trust-region reflective method (Branch, Coleman & Li 1999), which refuses a step to where the model has no converged answer. What it
-returns is checked: an optimum is where no free direction promises more than a thousandth of a standard error.
+returns is checked: an optimum is where no free direction promises more than a fiftieth of a standard error.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .subject import Column, Evaluation
 from .whitening import Projection
 
 LEVEL = 1e-6  # largest cosine between the residual and a free column at an optimum
-NEAR = 1e-3  # standard errors that may still be gained at an optimum
+NEAR = 2e-2  # standard errors that may still be gained at an optimum
 EVALUATIONS = 60  # of one search
 STEPS, LONGEST = 20, 1.5  # damped steps; how far one may go, in raw parameters and in plausible sizes of effects
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
