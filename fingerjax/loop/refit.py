@@ -228,7 +228,7 @@ def _polished(points: _Points, x: np.ndarray) -> np.ndarray:
         residual, jacobian = points.residual(x), points.jacobian(x)
         free = _free(x, jacobian.T @ residual, lower, upper)
         projection = Projection.of(jacobian[:, free])
-        if np.linalg.norm(projection.basis.T @ residual) < 0.1 * NEAR or _cosine(residual, jacobian[:, free]) < LEVEL:
+        if np.linalg.norm(projection.basis.T @ residual) < 0.3 * NEAR or _cosine(residual, jacobian[:, free]) < LEVEL:
             return x
         step = np.zeros(len(x))
         step[free] = -projection.inverse @ residual
