@@ -1,0 +1,117 @@
+"""A study diagnosed from its files to its verdict: a planted effect, one of a laboratory's own, and data that say too little.
+
+The data are the model's own readings with an effect in them and noise, so that what is tested here is that every part is joined to the
+next; whether the method names what a finger of other make lacks is for the blind laboratories to say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fingerjax.effects import catalogue, chosen
+from fingerjax.errors import InputError
+from fingerjax.forward import assemble, rigs
+from fingerjax.runners import diagnosing
+from fingerjax.runners.diagnosing import diagnose_study
+from fingerjax.runners.subject import FingerSubject
+from fingerjax.study import Study
+
+from .test_effects import OWN
+from .test_forward import COARSE, MODULI, OF, PLATE, Rows, study_of
+
+TRIED = ("contact_offset", "camera_scale", "force_offset", "force_gain", "nail_compliance")
+TRIALS, NOISE = 4, {"plate": 0.002, "wedge": 0.01}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rigs, "LINE_SPACING", 2.0)
+        patch.setattr(diagnosing, "LARGEST", 0)  # no finer mesh: the data come from this one
+        yield
+
+
+def laboratory(folder: Path, effect: str, size: float, *, trials: int = TRIALS, own: Path | None = None) -> Study:
+    """A study whose data are readings of its own model with one effect in it."""
+    plate: Rows = [{"trial": k, "displacement_mm": d, "force_N": 0.1} for k in range(trials) for d in (0.2, 0.35, 0.5, 0.65, 0.8, 0.95)]
+    wedge: Rows = [
+        {"trial": k, "depth_mm": d, "distance_mm": s, "deflection_mm": 0.3}
+        for k in range(trials)
+        for d in (0.4, 0.7, 1.0)
+        for s in (-3.1, -2.0, -1.2, -0.5, 0.4, 1.1, 2.2, 3.0)
+    ]
+    sidecar = {key: said for key, said in PLATE.items() if key != "noise"}
+    profile = {key: said for key, said in OF["wedge"][0].items() if key != "noise"}
+    free = {"free": ["epidermis.modulus", "adipose.modulus"]}
+    measured = {"plate": (sidecar, plate), "wedge": (profile, wedge)}
+    study = study_of(folder, measured, free, finger={"preset": "monkey", "resolution": COARSE}, diagnose={"effects": list(TRIED)})
+    subject = FingerSubject(assemble(study), chosen((effect,), catalogue(own)))
+    raw = np.log([MODULI["epidermis"], MODULI["adipose"]])
+    key = next(column.key for family in subject.families for column in family.columns)
+    value = subject.evaluate(raw, {key: size}, ()).prediction
+    noise = np.random.default_rng(5).normal(size=len(value))
+    measurements = []
+    for one, where in zip(study.measurements, subject.rows.blocks.values(), strict=True):
+        table = dict(one.table) | {one.value: value[where] + NOISE[one.name] * noise[where]}
+        measurements.append(dataclasses.replace(one, table=table))
+    return dataclasses.replace(study, measurements=tuple(measurements))
+
+
+def test_a_planted_offset_is_found_added_and_reported(tmp_path: Path) -> None:
+    study, parts = laboratory(tmp_path, "contact_offset", 0.08), {}
+    told: list[float] = []
+
+    def kept(name: str, make):  # type: ignore[no-untyped-def]
+        return parts.setdefault(name, make())
+
+    found = diagnose_study(study, effects=TRIED, tell=lambda share, what: told.append(share), kept=kept)
+    record = found.record()
+    assert record["verdict"]["kind"] == "attributed" and record["set"] == ["contact_offset"], record["verdict"]
+    assert record["after"]["phi"]["contact_offset.offset"]["value"] == pytest.approx(0.08, abs=0.02)
+    assert record["after"]["error"]["fit"] < 0.5 * record["base"]["error"]["fit"]
+    low, high = record["after"]["theta"]["epidermis.modulus"]["ci"]
+    assert low < MODULI["epidermis"] < high
+    assert "force_gain" in {one["family"] for one in record["verdict"]["absorbed"]} or not _of(record, "force_gain")["testable"]
+    assert told == sorted(told) and 0.0 <= told[0] and told[-1] <= 1.0
+    searches = len(parts)
+    again = diagnose_study(study, effects=TRIED, kept=lambda name, make: parts[name])
+    assert len(parts) == searches and again.verdict.text == found.verdict.text
+
+
+def _of(record: dict, family: str) -> dict:
+    return next(one for one in record["candidates"] if one["family"] == family)
+
+
+def test_an_effect_of_ones_own_is_ranked_refitted_and_reported(tmp_path: Path) -> None:
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "glove.py").write_text(OWN)
+    study = laboratory(tmp_path, "damp_glove", 0.02, own=folder)
+    record = diagnose_study(study, effects=("damp_glove", "camera_scale"), folder=folder).record()
+    assert _of(record, "damp_glove")["refit"]["phi"]["damp_glove.more"] == pytest.approx(0.02, abs=0.004)
+    assert record["set"] == ["damp_glove"] and record["verdict"]["families"] == ["damp_glove"]
+
+
+def test_without_repeats_nothing_is_named(tmp_path: Path) -> None:
+    study = laboratory(tmp_path, "contact_offset", 0.08, trials=1)
+    verdict = diagnose_study(study, effects=TRIED).record()["verdict"]
+    assert verdict["kind"] in ("noise unknown", "noise_unknown") and verdict["families"] == []
+
+
+def test_a_study_without_a_fit_has_no_residual(tmp_path: Path) -> None:
+    study = laboratory(tmp_path, "contact_offset", 0.0)
+    with pytest.raises(InputError, match="leaves no residual"):
+        diagnose_study(dataclasses.replace(study, fit=dataclasses.replace(study.fit, free=())), effects=TRIED)
+
+
+def test_units_of_readings_are_those_of_the_study(tmp_path: Path) -> None:
+    subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(TRIED, catalogue()))
+    assert subject.rows.units == {"plate": "N", "wedge": "mm"}
+    assert subject.rows.conditions == ("plate", "wedge, 0.4 mm", "wedge, 0.7 mm", "wedge, 1 mm")
+    assert bool(jnp.isfinite(jnp.asarray(subject.rows.measured)).all())
