@@ -88,9 +88,8 @@ def refits(record: Record) -> Table:
     rows = [_refit(record, one) for one in sorted(fitted, key=lambda one: -_finite(one["refit"].get("delta")))]
     note = (
         "Misfit removed: drop of the summed squares over squared noise. Explained: share of the misfit beyond noise (above 1 by chance). "
-        "Strongest rival: the effect that would explain most of what still remains. Held out, change: of the squared misfit there; "
-        "negative is better. BIC and log evidence weigh the misfit against the number of parameters: "
-        "a falling BIC and a gain speak for the effect."
+        "Strongest rival: what would explain most of what still remains. Held out, change: of the squared misfit there, negative "
+        "is better. BIC and log evidence weigh the misfit against the number of parameters: a falling BIC and a gain speak for the effect."
     )
     return Table("loop_refits", "Fitted anew with each of the best effects", rows, note)
 
