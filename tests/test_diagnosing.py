@@ -78,7 +78,7 @@ def test_a_planted_offset_is_found_added_and_reported(tmp_path: Path) -> None:
     low, high = record["after"]["theta"]["epidermis.modulus"]["ci"]
     assert low < MODULI["epidermis"] < high
     assert "force_gain" in {one["family"] for one in record["verdict"]["absorbed"]} or not _of(record, "force_gain")["testable"]
-    assert told == sorted(told) and 0.0 <= told[0] and told[-1] <= 1.0
+    assert told == sorted(told) and told[0] >= 0.0 and told[-1] <= 1.0
     searches = len(parts)
     again = diagnose_study(study, effects=TRIED, kept=lambda name, make: parts[name])
     assert len(parts) == searches and again.verdict.text == found.verdict.text

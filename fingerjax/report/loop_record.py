@@ -191,7 +191,7 @@ def candidates(record: Record) -> list[dict[str, Any]]:
 def wrong_way(one: Record) -> bool:
     """Whether every number of an effect is estimated on the side of its null where it cannot be: then its score speaks for nothing."""
     sizes, nulls, bounds = (one.get(key) for key in ("epc", "null", "bound"))
-    if not all(isinstance(said, Mapping) for said in (sizes, nulls, bounds)) or not sizes:
+    if not (isinstance(sizes, Mapping) and isinstance(nulls, Mapping) and isinstance(bounds, Mapping)) or not sizes:
         return False
     return all(_outside(number(size), number(nulls.get(key)), bounds.get(key)) for key, size in sizes.items())
 
