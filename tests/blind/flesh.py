@@ -34,6 +34,21 @@ class OffsetBone(FingerShape):
 
 
 @dataclass(frozen=True)
+class FineMiddle(Divisions):
+    """Divisions whose element angle is `middle` times the palmar one within `width` degrees of the pad's middle."""
+
+    middle: float = 0.35
+    width: float = 14.0
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        return (self.width - 90.0,)
+
+    def angle(self, at: float) -> float:
+        return super().angle(at) * (self.middle if at < self.width - 90.0 else 1.0)
+
+
+@dataclass(frozen=True)
 class Flesh:
     """What a finger is made of.
 

@@ -28,12 +28,12 @@ COLUMNS = {"depth": "depth_mm", "distance": "distance_mm", "displacement": "disp
 
 
 def measured(world: World, record: Record, clean: Array, sigma: Array, seed: int, name: str) -> Array:
-    """Readings of every trial, (trials, ...), with Gaussian noise; a rate below zero is recorded as zero."""
+    """Readings of every trial, (trials, ...), with Gaussian noise; an afferent that is silent is so in every trial."""
     random = np.random.default_rng([seed, *name.encode(), *record.name.encode()])
     noise = random.standard_normal((TRIALS, *clean.shape))
     gain = 1.0 + world.trial_gain * random.standard_normal((TRIALS, *(1,) * clean.ndim))
     values = clean * (1.0 if isinstance(record, Profiles) else gain) + sigma * noise
-    return values if isinstance(record, (Profiles, Trace)) else np.maximum(values, 0.0)
+    return values if isinstance(record, (Profiles, Trace)) else np.where(clean > 0.0, np.maximum(values, 0.0), 0.0)
 
 
 def table(record: Record, values: Array, sigma: Array) -> str:
@@ -55,7 +55,8 @@ def _measured(record: Record) -> tuple[str, str]:
 
 def sidecar(world: World, record: Record) -> dict[str, Any]:
     """What is said beside a data file."""
-    site = {"z_mm": world.nominal.site, "theta_deg": 270.0}
+    along = record.along if isinstance(record, Trace) else 0.0
+    site = {"z_mm": world.nominal.site + along, "theta_deg": 270.0}
     kinds = {"deflection": "deflection_profile", "force": "force_displacement", "rate": "spike_rate"}
     said: dict[str, Any] = {"kind": kinds[_measured(record)[0]], "source": SOURCE, "species": world.nominal.species}
     said |= {"finger": world.nominal.name, "controlled": "displacement", "direction": "z", "site": site}

@@ -176,7 +176,7 @@ def write(
 def dump(path: Path, value: dict[str, Any], head: str = "") -> None:
     """Write YAML, its first lines given."""
     path.write_text(
-        head + yaml.safedump(value, sort_keys=False, width=120, default_flow_style=None), encoding="utf-8"
+        head + yaml.safe_dump(value, sort_keys=False, width=120, default_flow_style=None), encoding="utf-8"
     )
 
 

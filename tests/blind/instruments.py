@@ -34,7 +34,7 @@ class Instruments:
     cameras: tuple[Camera, ...] = ()
     sites: tuple[tuple[int, float], ...] = ((0, 1.0),)
     scale: float = 133300.0
-    threshold: float = 6e-5
+    threshold: float = 1.5e-5
     nerves: tuple[Nerve, ...] = ()
 
 
@@ -79,7 +79,7 @@ def along(z: Array, values: Array, at: Array) -> Array:
 
 def _recorded(record: Trace, found: Elastic, cells: tuple[Cell, ...]) -> Array:
     if not cells:
-        return found.force(record.name, record.travel(record.times))
+        return found.force(record.name, record.travel(np.array(record.times)))
     time = record.fine
     travel = record.travel(time)
     force = found.force(record.name, travel)

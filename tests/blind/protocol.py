@@ -27,17 +27,20 @@ FINE = 0.02
 
 @dataclass(frozen=True)
 class Trace:
-    """Normal force at `times` s while the indenter follows `path`, ((s, mm of travel), ...), straight between these."""
+    """Normal force at `times` s while the indenter follows `path`, ((s, mm of travel), ...), straight between these; `along` mm
+    of z from the site."""
 
     name: str
     indenter: Indenter
     shape: tuple[tuple[str, object], ...]
     path: tuple[tuple[float, float], ...]
     times: tuple[float, ...]
+    along: float = 0.0
 
-    def travel(self, time: Array | tuple[float, ...]) -> Array:
+    def travel(self, time: Array) -> Array:
         """Travel commanded at `time`, mm."""
-        return np.round(np.interp(time, *zip(*self.path, strict=True)), 9)
+        times, travels = np.array(self.path).T
+        return np.round(np.interp(time, times, travels), 9)
 
     @property
     def fine(self) -> Array:
@@ -157,7 +160,7 @@ class Elastic:
         """Write everything to an .npz."""
         parts = {"lines": self.lines, "curves": self.curves, "energy": self.energy}
         arrays = {f"{part}/{name}": value for part, held in parts.items() for name, value in held.items()}
-        np.savez(file, z=self.z, **arrays)
+        np.savez(file, allow_pickle=False, z=self.z, **arrays)
 
     @classmethod
     def load(cls, file: Path) -> Elastic:
@@ -178,7 +181,7 @@ def elastic(flesh: Flesh, rig: Rig, records: tuple[Record, ...]) -> Elastic:
         if isinstance(record, Profiles):
             found.lines[record.name] = np.stack([felt(rig, finger, record.indenter, site, d).deflection for d in record.depths])
         elif isinstance(record, Trace):
-            found.curves[record.name] = _curve(rig, finger, record, site)
+            found.curves[record.name] = _curve(rig, finger, record, site + record.along)
         else:
             found.energy[record.name] = _energies(flesh, rig, finger, record)
     return found
@@ -186,7 +189,7 @@ def elastic(flesh: Flesh, rig: Rig, records: tuple[Record, ...]) -> Elastic:
 
 def _curve(rig: Rig, finger: Pressing, record: Trace, site: float) -> Array:
     """Travels mm and forces N, (2, n), wherever the trace is read, and where it begins."""
-    travels = np.unique(record.travel(record.times))
+    travels = np.unique(record.travel(np.array(record.times)))
     travels = travels[travels > 0.0]
     force = [felt(rig, finger, record.indenter, site, float(t)).force for t in travels]
     start = min(max(rig.late * SHARES[record.indenter.name], 0.0), 0.5 * travels[0])
@@ -209,10 +212,10 @@ def _steps(first: float, last: float, step: float) -> tuple[float, ...]:
     return tuple(float(v) + 0.0 for v in np.round(np.arange(first, last + 0.5 * step, step), 6))
 
 
-def _slow(name: str, indenter: Indenter, shape: dict[str, object], travels: tuple[float, ...]) -> Trace:
+def _slow(name: str, indenter: Indenter, shape: dict[str, object], travels: tuple[float, ...], along: float = 0.0) -> Trace:
     """Slow loading at a quarter of a millimetre a second."""
     end = travels[-1]
-    return Trace(name, indenter, tuple(shape.items()), ((0.0, 0.0), (4.0 * end, end)), tuple(4.0 * t for t in travels))
+    return Trace(name, indenter, tuple(shape.items()), ((0.0, 0.0), (4.0 * end, end)), tuple(4.0 * t for t in travels), along)
 
 
 def _hold(indenter: Indenter, deep: float) -> Trace:
@@ -223,33 +226,37 @@ def _hold(indenter: Indenter, deep: float) -> Trace:
 
 
 _ACROSS = {"across": "it lies across the finger (along x)"}
-_PLATE, _LINE, _PROBE, _BALL = flat_plate(), line(), probe(0.75, 0.25), sphere(3.0)
+_PLATE, _LINE, _PROBE, _BALL = flat_plate(), line(), probe(1.0, 0.5), sphere(3.0)
 _LINE_SHAPE = {"shape": "line", "width_mm": 0.05, **_ACROSS}
+_PROBE_SHAPE: dict[str, object] = {"shape": "point", "radius_mm": 1.0, "edge_radius_mm": 0.5}
 _TRAVELS = _steps(0.25, 1.5, 0.25)
 
 PAD: tuple[Record, ...] = (
     Profiles("wedge_profile", _LINE, _LINE_SHAPE, (0.5, 1.0, 1.5, 2.0), _steps(-6.0, 6.0, 0.5)),
     _slow("plate_force", _PLATE, {"shape": "flat_plate"}, _TRAVELS),
-    _slow("probe_force", _PROBE, {"shape": "point", "radius_mm": 0.75, "edge_radius_mm": 0.25}, _TRAVELS),
+    _slow("probe_force", _PROBE, _PROBE_SHAPE, _TRAVELS),
+    _slow("probe_force_tip", _PROBE, _PROBE_SHAPE, _TRAVELS[1::2], 3.0),
+    _slow("probe_force_base", _PROBE, _PROBE_SHAPE, _TRAVELS[1::2], -5.0),
     _slow("sphere_force", _BALL, {"shape": "sphere", "radius_mm": 3.0}, _TRAVELS),
     _hold(_PLATE, 1.2),
 )
 """Profiles and forces of a fingertip."""
 
+BARS = Sweep(
+    "bar_rates",
+    (
+        ("bar_3mm", bar(3.0, 0.3), (("shape", "bar"), ("width_mm", 3.0), ("edge_radius_mm", 0.3))),
+        ("bar_1mm", bar(1.0, 0.2), (("shape", "bar"), ("width_mm", 1.0), ("edge_radius_mm", 0.2))),
+    ),
+    0.8,
+    _steps(-3.0, 3.0, 0.5),
+    (0.3, 3.0),
+)
 AFFERENT: tuple[Record, ...] = (
     Profiles("wedge_profile", _LINE, _LINE_SHAPE, (0.4, 0.8, 1.2, 1.6), _steps(-4.0, 4.0, 0.5)),
     _slow("plate_force", _PLATE, {"shape": "flat_plate"}, _steps(0.2, 1.2, 0.2)),
     _hold(_PLATE, 0.9),
-    Sweep(
-        "bar_rates",
-        (
-            ("bar_3mm", bar(3.0, 0.3), (("shape", "bar"), ("width_mm", 3.0), ("edge_radius_mm", 0.3))),
-            ("bar_1mm", bar(1.0, 0.2), (("shape", "bar"), ("width_mm", 1.0), ("edge_radius_mm", 0.2))),
-        ),
-        0.8,
-        _steps(-3.0, 3.0, 0.5),
-        (0.3, 3.0),
-    ),
+    BARS,
 )
 """Profiles and forces of a small fingertip, and the rates of an afferent in it."""
 
@@ -263,6 +270,6 @@ THIN_PAD: tuple[Record, ...] = (
 THIN_AFFERENT: tuple[Record, ...] = (
     Profiles("wedge_profile", _LINE, _LINE_SHAPE, (0.4, 0.8, 1.2, 1.6), _FEW),
     _hold(_PLATE, 0.9),
-    Sweep("bar_rates", AFFERENT[-1].stimuli, 0.8, _steps(-2.0, 2.0, 1.0), (0.3, 3.0)),
+    Sweep("bar_rates", BARS.stimuli, 0.8, _steps(-2.0, 2.0, 1.0), (0.3, 3.0)),
 )
 """The same with few readings, for tests."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from . import instruments as made
-from .flesh import Flesh, OffsetBone
+from .flesh import FineMiddle, Flesh, OffsetBone
 from .instruments import Instruments
 from .protocol import AFFERENT, PAD, THIN_AFFERENT, THIN_PAD, Record, Rig
 from .shapes import HUMAN, MONKEY, Divisions, FingerShape
@@ -88,8 +88,8 @@ def _world(
 
 
 _HUMAN_MODULI, _MONKEY_MODULI = (0.16, 0.022, 0.013, 0.019), (0.14, 0.016, 0.010, 0.015)
-_HUMAN_CUT = Divisions(pad=0.5, flank=1.0, palmar=7.5)
-_MONKEY_CUT = Divisions(pad=0.3, reach=2.0, flank=0.6, span=6.8, rest=1.5, palmar=7.5)
+_HUMAN_CUT = FineMiddle(pad=0.4, reach=2.5, flank=1.0, rest=2.5, palmar=10.0)
+_MONKEY_CUT = FineMiddle(pad=0.25, reach=1.8, flank=0.6, span=6.8, rest=1.5, palmar=10.0, width=18.0)
 _PLAIN = {
     "human": _world(HUMAN, _HUMAN_MODULI, _HUMAN_CUT, 11.5, PAD),
     "monkey": _world(MONKEY, _MONKEY_MODULI, _MONKEY_CUT, 8.3, AFFERENT),
@@ -141,19 +141,19 @@ def _other(**changes: Any) -> Alteration:
     return lambda world: replace(world, **changes)
 
 
-_POISSON = {"skin": (0.43, 0.43, 0.48, 0.48), "deep": (0.48, 0.48, 0.43, 0.43)}
+_POISSON = {"skin": (0.40, 0.40, 0.48, 0.48), "deep": (0.48, 0.48, 0.42, 0.42)}
 _POOL = ((0, 0.3), (1, 0.05), (2, 0.1), (3, 0.2), (4, 0.2), (5, 0.1), (6, 0.05))
 
 EFFECTS: dict[str, tuple[str, Alteration]] = {
-    "nail_compliance": ("human", _flesh(bed=0.02)),
+    "nail_compliance": ("human", _flesh(bed=0.008)),
     "strain_stiffening": ("human", _flesh(stiffening=12.0)),
     "skin_poisson": ("human", _flesh(poisson=_POISSON["skin"])),
     "deep_poisson": ("human", _flesh(poisson=_POISSON["deep"])),
-    "epidermis_thickness": ("human", _finger(epidermis=0.65)),
-    "dermis_thickness": ("human", _finger(dermis=1.4)),
-    "bone_offset": ("human", _bone(0.5)),
-    "stratum_corneum": ("human", _flesh(film=0.06)),
-    "depth_gradient": ("human", _flesh(graded=0.4)),
+    "epidermis_thickness": ("human", _finger(epidermis=0.7)),
+    "dermis_thickness": ("human", _finger(dermis=1.6)),
+    "bone_offset": ("human", _bone(-0.8)),
+    "stratum_corneum": ("human", _flesh(film=0.12)),
+    "depth_gradient": ("human", _flesh(graded=0.5)),
     "contact_offset": ("human", _rig(late=0.08)),
     "apparatus_compliance": ("human", _rig(frame=0.8)),
     "indenter_shift": ("human", _rig(slide=0.35, slide_per_mm=0.1)),

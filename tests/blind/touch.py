@@ -328,7 +328,7 @@ def raise_penalty(
     stiffness, u = la.inv(compliance), np.zeros(len(compliance))
     load = rows.T @ (area / area.sum())
     penalty = 30.0 / float(load @ compliance @ load) / float(area.sum())  # 30 times the body's own resistance
-    force = 0.0
+    force, drift = 0.0, np.inf
     for _ in range(12):
         u = settle(stiffness, rows, gap, penalty * area, u)
         pressure = penalty * area * np.maximum(gap - rows @ u, 0.0)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import orth
 
 from .bricks import Array
 from .instruments import readings
@@ -33,7 +34,7 @@ def coordinates(record: Record) -> dict[str, list[Any]]:
         pairs = [(depth, at) for depth in record.depths for at in record.distances]
         return {"depth": [p[0] for p in pairs], "distance": [p[1] for p in pairs], "condition": [f"{p[0]:g} mm" for p in pairs]}
     if isinstance(record, Trace):
-        travel = record.travel(record.times).tolist()
+        travel = record.travel(np.array(record.times)).tolist()
         return {"time": [round(t, 6) for t in record.times], "displacement": travel, "condition": [record.name] * len(travel)}
     rows = [(name, at, time) for name, _, _ in record.stimuli for at in record.positions for time in record.times]
     names = [row[0] for row in rows]
@@ -49,12 +50,12 @@ def coordinates(record: Record) -> dict[str, list[Any]]:
 def deviation(record: Record, clean: Array, noise: float) -> Array:
     """Standard deviation of every reading, same shape as `clean`.
 
-    Of a profile: `noise` times its largest deflection. Of a force f: noise x sqrt((0.4 max f)^2 + f^2). Of a rate r: noise x
+    Of a profile: 0.4 `noise` times its largest deflection. Of a force f: noise x sqrt((0.4 max f)^2 + f^2). Of a rate r: noise x
     sqrt(r max r), as of a count, and no less than at a fiftieth of the peak.
     """
     most = float(np.abs(clean).max())
     if isinstance(record, Profiles):
-        return np.full(clean.shape, noise * most)
+        return np.full(clean.shape, 0.4 * noise * most)
     if isinstance(record, Trace):
         return noise * np.sqrt((0.4 * most) ** 2 + clean**2)
     return noise * most * np.sqrt(np.maximum(clean / most, 0.02))
@@ -98,8 +99,9 @@ class Truths:
 
     def excess_of_each(self, scenario: Scenario, noise: float, trials: int) -> dict[str, float]:
         """lambda of each family of a double that a model with the other leaves; the other may take a value of its own."""
-        others = dict(zip(scenario.families, reversed(scenario.families), strict=True))
-        return {name: self._left(scenario, SCENARIOS[other], (SCENARIOS[other],), noise, trials) for name, other in others.items()}
+        others = [replace(SCENARIOS[name], finger=scenario.finger) for name in reversed(scenario.families)]
+        pairs = zip(scenario.families, others, strict=True)
+        return {name: self._left(scenario, other, (other,), noise, trials) for name, other in pairs}
 
     def _left(self, scenario: Scenario, simpler: Scenario, allowed: tuple[Scenario, ...], noise: float, trials: int) -> float:
         """lambda of `scenario` against `simpler`, when what sets each of `allowed` apart from the plain world may be taken up too."""
@@ -113,7 +115,7 @@ class Truths:
             weight = np.sqrt(trials) / deviation(record, clean[record.name], noise).ravel()[fitted]
             change.append(weight * (clean[record.name] - other[record.name]).ravel()[fitted])
             columns.append(weight[:, None] * np.stack([slope[record.name].ravel()[fitted] for slope in slopes], 1))
-        left, basis = np.concatenate(change), np.linalg.qr(np.concatenate(columns))[0]
+        left, basis = np.concatenate(change), orth(np.concatenate(columns), rcond=1e-9)
         return float(((left - basis @ (basis.T @ left)) ** 2).sum())
 
     def slopes(self, finger: str) -> list[Readings]:
@@ -142,8 +144,9 @@ class Truths:
         return Elastic.load(file)
 
 
-def _stiffer(moduli: tuple[float, ...], layer: int) -> tuple[float, ...]:
-    return tuple(value * float(np.exp(STEP)) if n == layer else value for n, value in enumerate(moduli))
+def _stiffer(moduli: tuple[float, float, float, float], layer: int) -> tuple[float, float, float, float]:
+    a, b, c, d = (value * float(np.exp(STEP)) if n == layer else value for n, value in enumerate(moduli))
+    return a, b, c, d
 
 
 def in_order(names: Iterable[str]) -> list[str]:
