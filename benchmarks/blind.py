@@ -1,6 +1,6 @@
 """How often the residual loop is right about laboratories it has never seen, made by another finite-element program.
 
-`python -m benchmarks.blind [--quick] [--seeds N] [--scenarios a,b] [--noise 0.02] [--out FOLDER] [--json FILE]`
+`python -m benchmarks.blind [--quick] [--seeds N] [--scenarios a,b] [--noise 0.02] [--out FOLDER] [--mesh] [--json FILE]`
 
 Writes every scenario of `tests/blind` with N draws of noise, runs `fingerjax diagnose` on each as its own process, and scores the reports
 against the truths. What is finished is kept in FOLDER, so that a run that was stopped goes on. `--quick` takes eight scenarios with a
@@ -15,7 +15,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ QUICK = (
     "callus",
     "load_cell_gain",
 )
+COARSER = 1.4
 TIMEOUT = 3600.0
 """s after which a diagnosis is given up."""
 
@@ -98,6 +99,14 @@ def figures(found: Sequence[score.Outcome], broken: Sequence[str]) -> list[Figur
     return [failed, *(_figure(line) for line in score.table(found) if line.count)]
 
 
+def mesh_figures(folder: Path, *, thin: bool) -> Iterator[Figure]:
+    """What is left of mesh error in the noise-free readings: their change on bricks that are 1.4 times as long."""
+    truths = Truths(folder / "mechanics", thin, tell=_say)
+    for finger in ("human", "monkey"):
+        for name, (most, mean) in truths.coarser(finger, COARSER).items():
+            yield Figure(f"{finger}, {name}: change of the truth on coarser bricks", 100 * mean, "%", note=f"largest {100 * most:.2g} %")
+
+
 def _figure(line: score.Line) -> Figure:
     note = f"{line.count} cases" if line.low != line.low else f"{line.count} cases, 95 % interval {line.low:.3f} to {line.high:.3f}"
     if line.goal is None:
@@ -119,13 +128,17 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--scenarios", default="", metavar="a,b", help=f"of: {', '.join(SCENARIOS)}")
     parser.add_argument("--noise", type=float, default=0.02, help="share of the largest reading")
     parser.add_argument("--out", type=Path, default=Path("build/blind"), metavar="FOLDER", help="laboratories, truths and reports")
+    parser.add_argument("--mesh", action="store_true", help="only ask how much the truths change on coarser bricks")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     said = parser.parse_args(arguments)
     names = [name for name in said.scenarios.split(",") if name] or list(QUICK if said.quick else SCENARIOS)
     if unknown := sorted(set(names) - set(SCENARIOS)):
         parser.error(f"no scenario is called {', '.join(unknown)}")
     folder = said.out / ("thin" if said.quick else "full")
-    measured = figures(*outcomes(names, said.seeds, said.noise, folder, thin=said.quick))
+    if said.mesh:
+        measured = list(mesh_figures(folder, thin=said.quick))
+    else:
+        measured = figures(*outcomes(names, said.seeds, said.noise, folder, thin=said.quick))
     print(table(measured))
     if said.json is not None:
         write(said.json, record(measured, quick=said.quick))

@@ -92,6 +92,24 @@ def test_held_out_rows_are_found_by_role_where_the_study_kept_none():
     assert score.judge(said, right).held_out is None
 
 
+def test_rows_in_the_order_of_the_file_need_no_more_to_be_known():
+    """Two shapes of indenter at the same places, whose names the report leaves out."""
+    right, said = truth(), report()
+    said["loop"]["rows"]["plate"] |= {"before": [0.1, 0.24, 0.44] * 2, "after": [0.1, 0.21, 0.41] * 2, "role": "fit"}
+    said["loop"]["rows"]["plate"]["coordinates"] = {"travel": [0.5, 1.0, 1.5] * 2}
+    assert score.judge(said, right).held_out == pytest.approx((0.1, 0.025))
+    right["rows"]["plate"]["coordinates"]["displacement"] = [0.5, 1.0, 1.0]
+    said["loop"]["rows"]["plate"]["coordinates"] = {"travel": [1.0, 0.5, 1.0] * 2}
+    with pytest.raises(ValueError, match="share displacement"):
+        score.judge(said, right)
+
+
+def test_undefined_predictions_are_not_scored():
+    said = report()
+    said["loop"]["rows"]["plate"]["after"] = [None] * 6
+    assert score.judge(said, truth()).held_out is None
+
+
 def test_rows_that_the_truth_does_not_know_are_refused():
     said = report()
     said["loop"]["rows"]["plate"]["coordinates"]["displacement"][0] = 0.6

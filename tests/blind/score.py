@@ -155,26 +155,47 @@ def _held_out(rows: Mapping[str, Any], truth: Mapping[str, Any]) -> tuple[float,
 
 def _errors(said: Mapping[str, Any], right: Mapping[str, Any]) -> np.ndarray:
     """(rows, 2): prediction minus noise-free reading, before and after, over the largest reading, of rows kept from the fit."""
-    names = sorted(set(said["coordinates"]) & set(right["coordinates"]) - {"condition"})
-    clean = dict(zip(_places(right["coordinates"], names), zip(right["clean"], right["held_out"], strict=True), strict=True))
-    most, out = float(np.abs(right["clean"]).max()), []
-    for place, role, before, after in zip(_places(said["coordinates"], names), _roles(said), said["before"], said["after"], strict=True):
-        if place not in clean:
-            raise ValueError(f"the report has a row at {dict(zip(names, place, strict=True))} that the truth does not know")
-        value, held = clean[place]
-        if (held or role in ("veto", "report")) and before is not None and after is not None:
-            out.append(((before - value) / most, (after - value) / most))
-    return np.array(out).reshape(-1, 2)
+    clean, held = np.array(right["clean"], float), np.array(right["held_out"], bool)
+    at = _matched(said, right)
+    held = held[at] | np.isin(_roles(said), ("veto", "report"))
+    both = np.array([said["before"], said["after"]], float).T - clean[at][:, None]
+    return both[held & np.isfinite(both).all(1)] / np.abs(clean).max()
 
 
-def _places(coordinates: Mapping[str, Sequence[Any]], names: Sequence[str]) -> list[tuple[Any, ...]]:
-    columns = [[cell if isinstance(cell, str) else round(float(cell), 4) for cell in coordinates[name]] for name in names]
-    return list(zip(*columns, strict=True))
+ALIASES = {"travel": "displacement"}
 
 
-def _roles(said: Mapping[str, Any]) -> Sequence[str]:
+def _matched(said: Mapping[str, Any], right: Mapping[str, Any]) -> np.ndarray:
+    """Which row of the truth each row of the report is.
+
+    Trials follow each other in a file: rows in the file's order are known by it. Else they are told by their coordinates. Raises
+    ValueError where neither tells.
+    """
+    columns = {ALIASES.get(name, name): np.array(values) for name, values in said["coordinates"].items()}
+    names = [name for name in sorted(columns) if name in right["coordinates"] and name != "condition"]
+    rows, count = len(said["before"]), len(right["clean"])
+    theirs = np.array([_rounded(columns[name]) for name in names], object).reshape(len(names), rows)
+    ours = np.array([_rounded(np.array(right["coordinates"][name])) for name in names], object).reshape(len(names), count)
+    order = np.arange(rows) % count
+    if rows % count == 0 and np.array_equal(theirs, ours[:, order]):
+        return order
+    places = [tuple(place) for place in ours.T]
+    known = dict(zip(places, range(count), strict=True))
+    strange = next((tuple(place) for place in theirs.T if tuple(place) not in known), None)
+    if strange is not None:
+        raise ValueError(f"the report has a row at {dict(zip(names, strange, strict=True))} that the truth does not know")
+    if len(known) < count:
+        raise ValueError(f"rows of the truth share {', '.join(names)}, and the report does not keep their order")
+    return np.array([known[tuple(place)] for place in theirs.T])
+
+
+def _rounded(column: np.ndarray) -> list[Any]:
+    return column.tolist() if column.dtype.kind == "U" else [round(value, 3) + 0.0 for value in column.astype(float).tolist()]
+
+
+def _roles(said: Mapping[str, Any]) -> list[str]:
     role = said.get("role", "fit")
-    return [role] * len(said["before"]) if isinstance(role, str) else role
+    return [role] * len(said["before"]) if isinstance(role, str) else list(role)
 
 
 def table(outcomes: Sequence[Outcome]) -> list[Line]:

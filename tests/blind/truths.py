@@ -129,6 +129,16 @@ class Truths:
         moved = [self._readings(one, f"slope {n} of {finger}") for n, one in enumerate(worlds)]
         return [{name: (one[name] - base[name]) / STEP for name in base} for one in moved]
 
+    def coarser(self, finger: str, factor: float) -> dict[str, tuple[float, float]]:
+        """How much the plain readings change on bricks `factor` times as long: largest and root mean square, as shares of each file's
+        largest."""
+        plain = SCENARIOS[f"none_{finger}"]
+        world, fine = plain.world(thin=self.thin), self.clean(plain)
+        flesh = replace(world.flesh, divisions=world.flesh.divisions.scaled(factor))
+        rough = self._readings(replace(world, flesh=flesh), f"{plain.name} on coarser bricks")
+        change = {name: (rough[name] - fine[name]) / np.abs(fine[name]).max() for name in fine}
+        return {name: (float(np.abs(one).max()), float(np.sqrt((one**2).mean()))) for name, one in change.items()}
+
     def _readings(self, world: World, name: str) -> Readings:
         return readings(self._elastic(world, name), world.instruments, world.records)
 
