@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import yaml
 
 from fingerjax.study import load_studies
-from tests.blind import folders, truths
+from tests.blind import bricks, folders, truths
 from tests.blind.laboratory import Profiles
 from tests.blind.protocol import Elastic, Rig, Sweep, Trace
 from tests.blind.scenarios import EFFECTS, KINDS, SCENARIOS
@@ -45,6 +46,15 @@ def test_every_scenario_alters_the_world_and_not_what_is_written_of_it(name):
     world, plain = scenario.world(), scenario.plain()
     assert world != plain
     assert world.nominal == plain.nominal and world.records == plain.records
+
+
+@pytest.mark.parametrize("thin", [False, True])
+def test_every_finger_can_be_meshed_and_holds_its_receptors(thin):
+    for flesh in {one.world(thin=thin).flesh for one in SCENARIOS.values()}:
+        mesh = replace(flesh, bed=None).mesh()
+        bricks.gradients(mesh.nodes[mesh.bricks], 2)
+        for which in range(len(flesh.receptors)):
+            assert mesh.layer[bricks.locate(mesh, np.array(flesh.receptor(which)))[0]] == 1
 
 
 def test_weights_of_a_pooled_field_are_shares():

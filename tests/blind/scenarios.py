@@ -77,13 +77,13 @@ HELD_OUT: dict[str, list[dict[str, Any]]] = {
 }
 
 _SITES = tuple((along, 0.75) for along in (0.0, -0.9, -0.6, -0.3, 0.3, 0.6, 0.9, 1.8))
-_DEEPER = len(_SITES)
+_SHALLOWER = len(_SITES)
 
 
 def _world(
     finger: FingerShape, moduli: tuple[float, float, float, float], divisions: Divisions, reach: float, records: tuple[Record, ...]
 ) -> World:
-    receptors = (*_SITES, (0.0, 0.95)) if finger is MONKEY else ()
+    receptors = (*_SITES, (0.0, 0.58)) if finger is MONKEY else ()
     return World(finger, Flesh(finger, moduli, divisions, reach, receptors=receptors), records)
 
 
@@ -173,7 +173,7 @@ EFFECTS: dict[str, tuple[str, Alteration]] = {
     "spontaneous_rate": ("monkey", _nerve(made.humming(5.0))),
     "rate_adaptation": ("monkey", _nerve(made.tiring(0.12))),
     "receptive_field_pooling": ("monkey", _instruments(sites=_POOL)),
-    "receptor_depth": ("monkey", _instruments(sites=((_DEEPER, 1.0),))),
+    "receptor_depth": ("monkey", _instruments(sites=((_SHALLOWER, 1.0),))),
     "receptor_position": ("monkey", _instruments(sites=((4, 1.0),))),
 }
 """One effect of the catalogue each: on which finger it is shown, and what it does to the world."""
