@@ -163,7 +163,7 @@ def _products(gradient: Array, weights: Array) -> Array:
     return ((flat * weights[..., None]).transpose(0, 2, 1) @ flat).reshape(-1, 20, 3, 20, 3)
 
 
-def lame(modulus: Array, poisson: float) -> tuple[Array, Array]:
+def lame(modulus: Array, poisson: Array | float) -> tuple[Array, Array]:
     """The two Lame moduli, MPa, of Young's `modulus` (any shape) and Poisson ratio `poisson`."""
     return modulus * poisson / ((1 + poisson) * (1 - 2 * poisson)), modulus / (2 * (1 + poisson))
 
@@ -171,7 +171,12 @@ def lame(modulus: Array, poisson: float) -> tuple[Array, Array]:
 def assemble(mesh: Bricks, moduli: Array, poisson: float, **orders: int) -> sp.csr_matrix:
     """Stiffness (3n, 3n) in N/mm of a mesh whose layers have Young's `moduli` (4,) in MPa; no support is
     applied."""
-    first, second = lame(np.asarray(moduli)[mesh.layer], poisson)
+    return assemble_bricks(mesh, np.asarray(moduli)[mesh.layer], np.full(len(mesh.bricks), poisson), **orders)
+
+
+def assemble_bricks(mesh: Bricks, modulus: Array, poisson: Array, **orders: int) -> sp.csr_matrix:
+    """Stiffness (3n, 3n) in N/mm of bricks that each have a Young's `modulus` (e,) in MPa and a `poisson` ratio (e,)."""
+    first, second = lame(modulus, poisson)
     total = sp.csr_matrix((3 * len(mesh.nodes),) * 2)
     for part in np.array_split(np.arange(len(mesh.bricks)), 1 + len(mesh.bricks) // 800):
         block = brick_stiffness(mesh.nodes[mesh.bricks[part]], first[part], second[part], **orders)

@@ -16,7 +16,7 @@ import yaml
 
 from .bricks import Array
 from .laboratory import CASES, POISSON, Case, Forces, Observation, Profiles, Rates, noise_sigma, observe
-from .shapes import LAST_SECTION, SURFACES, section_table
+from .shapes import LAST_SECTION, SURFACES, FingerShape, section_table
 
 SOURCE = "simulated by tests/blind (a separate brick finite-element program); not measured on a finger"
 NOTES = {
@@ -83,7 +83,7 @@ def sidecar(case: Case, record: Profiles | Forces | Rates, sigma: Array) -> dict
 def study(case: Case) -> dict[str, Any]:
     """The `experiments.yaml` a user would start from; its moduli are start values, not the truth."""
     nail = {"z_mm": list(case.finger.nail_z), "theta_deg": list(case.finger.nail_theta)}
-    model: dict[str, Any] = {"moduli_MPa": _by_layer(case.start), "bone": "held", "poisson_ratio": POISSON}
+    model: dict[str, Any] = {"moduli_MPa": by_layer(case.start), "bone": "held", "poisson_ratio": POISSON}
     if case.receptor_depth is not None:
         model["receptor"] = {"depth_mm": case.receptor_depth, "z_mm": case.finger.site, "theta_deg": 270.0}
     return {
@@ -105,7 +105,7 @@ def truth(
         "small strain, linear elastic; contact is the only nonlinearity; bone and nail patch fixed, "
         "proximal cut free"
     )
-    said |= {"moduli_MPa": _by_layer(case.moduli), "bone": "held", "poisson_ratio": POISSON}
+    said |= {"moduli_MPa": by_layer(case.moduli), "bone": "held", "poisson_ratio": POISSON}
     shape = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(case.finger).items()}
     said["finger"] = shape | {"length_of_the_table": round(case.finger.length - LAST_SECTION, 4)}
     for record in case.records:
@@ -132,14 +132,15 @@ def truth(
     return said
 
 
-def _by_layer(values: tuple[float, float, float, float]) -> dict[str, float]:
+def by_layer(values: tuple[float, float, float, float]) -> dict[str, float]:
+    """The values of the four soft layers by their names."""
     return dict(zip(SURFACES[:4], values, strict=True))
 
 
-def sections_csv(case: Case) -> str:
+def sections_csv(finger: FingerShape) -> str:
     """The finger's table of sections."""
     header = "z_mm,theta_deg,cx_mm,cy_mm," + ",".join(f"r_{name}_mm" for name in SURFACES)
-    rows = [f"{r[0]:.4f},{r[1]:g}," + ",".join(f"{v:.4f}" for v in r[2:]) for r in section_table(case.finger)]
+    rows = [f"{r[0]:.4f},{r[1]:g}," + ",".join(f"{v:.4f}" for v in r[2:]) for r in section_table(finger)]
     return "\n".join([header, *rows]) + "\n"
 
 
@@ -162,17 +163,18 @@ def write(
         values = noisy(record, clean, sigma, case.trials, seed, float(noise > 0))
         header, rows = table(record, values, sigma)
         (folder / f"{record.name}.csv").write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
-        _dump(folder / f"{record.name}.yaml", sidecar(case, record, sigma))
-    (folder / "sections.csv").write_text(sections_csv(case), encoding="utf-8")
-    _dump(folder / "experiments.yaml", study(case), f"# Simulated. {case.title}\n")
-    _dump(
+        dump(folder / f"{record.name}.yaml", sidecar(case, record, sigma))
+    (folder / "sections.csv").write_text(sections_csv(case.finger), encoding="utf-8")
+    dump(folder / "experiments.yaml", study(case), f"# Simulated. {case.title}\n")
+    dump(
         folder / "truth.yaml",
         truth(case, seen, sigmas, noise, seed, command),
         "# For scoring a fit only; nothing that fits may read this.\n",
     )
 
 
-def _dump(path: Path, value: dict[str, Any], head: str = "") -> None:
+def dump(path: Path, value: dict[str, Any], head: str = "") -> None:
+    """Write YAML, its first lines given."""
     path.write_text(
         head + yaml.safe_dump(value, sort_keys=False, width=120, default_flow_style=None), encoding="utf-8"
     )

@@ -8,7 +8,7 @@ its half x >= 0 is meshed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -201,7 +201,16 @@ class Divisions:
     def scaled(self, factor: float, layers: tuple[int, int, int, int] | None = None) -> Divisions:
         """The same grading with every element `factor` times as long."""
         lengths = {k: getattr(self, k) * factor for k in ("pad", "flank", "rest", "palmar", "dorsal", "cap")}
-        return Divisions(**lengths, reach=self.reach, span=self.span, layers=layers or self.layers)
+        return replace(self, **lengths, layers=layers or self.layers)
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Where else than at the pad's middle, the sides and the nail elements must end, degrees."""
+        return ()
+
+    def angle(self, at: float) -> float:
+        """Longest element at an angle, degrees."""
+        return self.palmar if at < 0 else self.dorsal
 
 
 def finger_bricks(finger: FingerShape, divisions: Divisions = Divisions()) -> Bricks:
@@ -250,7 +259,7 @@ def _apart(breaks: list[float], keep: tuple[float, ...], least: float = 0.08) ->
 
 
 def _angle_grid(finger: FingerShape, d: Divisions) -> Array:
-    return divide([-90.0, 0.0, finger.nail_theta[0], 90.0], lambda at: d.palmar if at < 0 else d.dorsal)
+    return divide([-90.0, *d.angles, 0.0, finger.nail_theta[0], 90.0], d.angle)
 
 
 def _fixed_nodes(finger: FingerShape, number: Array, nodes: Array, along: Array, theta: Array) -> Array:

@@ -116,17 +116,26 @@ def condense(
     symmetry: float = 2.0,
     **orders: int,
 ) -> Body:
-    """Factor the body and find what unit forces along y on the touchable skin do to it.
+    """Factor a body of four plain layers and find what unit forces along y on the touchable skin do to it.
 
     `touchable` picks outer faces by their centres (f, 3); `watched` are nodes whose u_y will be read;
     `receptors` points.
     """
-    outer = outer_faces(mesh)
-    chosen = touchable(mesh.nodes[outer].mean(1))
-    rim, outer = outer[~chosen], outer[chosen]
-    pad, faces = np.unique(outer, return_inverse=True)
-    faces = faces.reshape(outer.shape)
     factor = SlabFactor(mesh, assemble(mesh, moduli, poisson, **orders))
+    return condense_factored(mesh, factor, touchable, watched=watched, receptors=receptors, symmetry=symmetry)
+
+
+def condense_factored(
+    mesh: Bricks,
+    factor: SlabFactor,
+    touchable: Callable[[Array], Array],
+    *,
+    watched: Array | None = None,
+    receptors: tuple[tuple[float, float, float], ...] = (),
+    symmetry: float = 2.0,
+) -> Body:
+    """As `condense`, of a body whose stiffness, whatever it is, has been factored."""
+    pad, faces, border = pad_faces(mesh, touchable)
     watched = np.array([], int) if watched is None else watched
     strains = [strain_rows(mesh, np.array(p)) for p in receptors]
     rows = sp.vstack([_y_rows(mesh, pad), _y_rows(mesh, watched), *(s for s, _ in strains)]).tocsr()
@@ -141,7 +150,7 @@ def condense(
     return Body(
         mesh,
         pad,
-        np.isin(pad, rim),
+        border,
         faces,
         mesh.nodes[pad][faces],
         compliance,
@@ -151,6 +160,15 @@ def condense(
         residual,
         symmetry,
     )
+
+
+def pad_faces(mesh: Bricks, touchable: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
+    """Nodes (m,) of the skin that can be touched, its faces (f, 8) as positions among them, and which nodes
+    (m,) lie at its rim."""
+    outer = outer_faces(mesh)
+    chosen = touchable(mesh.nodes[outer].mean(1))
+    pad, faces = np.unique(outer[chosen], return_inverse=True)
+    return pad, faces.reshape(-1, 8), np.isin(pad, outer[~chosen])
 
 
 def _y_rows(mesh: Bricks, nodes: Array) -> sp.csr_matrix:
@@ -268,12 +286,12 @@ def press(
     RuntimeError when the set of points in contact does not settle, the penalty stays felt, or contact
     reaches skin that was not declared touchable.
     """
-    points, overlap = _overlap(body, indenter, at, order, split)
-    near = np.flatnonzero(overlap > -2.0 * travel)  # skin bulges onto an indenter by less than the travel
-    rows, gap, area = points.rows[near], overlap[near] + travel, points.area[near]
+    points, above = overlap(body, indenter, at, order, split)
+    near = np.flatnonzero(above > -2.0 * travel)  # skin bulges onto an indenter by less than the travel
+    rows, gap, area = points.rows[near], above[near] + travel, points.area[near]
     nodes = np.unique(rows.indices)
     compliance, rows = body.compliance[np.ix_(nodes, nodes)], rows[:, nodes]
-    u, pressure, drift = _raise_penalty(compliance, rows, gap, area, tolerance)
+    u, pressure, drift = raise_penalty(compliance, rows, gap, area, tolerance)
     nodal = np.zeros(len(body.pad))
     nodal[nodes] = rows.T @ pressure
     if np.any(nodal[body.border] != 0.0):
@@ -284,7 +302,7 @@ def press(
     return Press(force, travel, nodal, body.compliance @ nodal, near[pressure > 0], deepest, drift)
 
 
-def _overlap(body: Body, indenter: Indenter, at: float, order: int, split: int) -> tuple[Points, Array]:
+def overlap(body: Body, indenter: Indenter, at: float, order: int, split: int) -> tuple[Points, Array]:
     """Contact points and the height of the indenter at first contact above the skin there (<= 0; -inf:
     none)."""
     breaks = at + np.array(indenter.edges)
@@ -299,7 +317,7 @@ def _overlap(body: Body, indenter: Indenter, at: float, order: int, split: int) 
     return points, np.where(over, start + np.where(over, height, 0.0) - points.y, -np.inf)
 
 
-def _raise_penalty(
+def raise_penalty(
     compliance: Array, rows: sp.csr_matrix, gap: Array, area: Array, tolerance: float
 ) -> tuple[Array, Array, float]:
     """Displacements, forces at the points and the force's last relative change, once the penalty is idle.
@@ -310,9 +328,9 @@ def _raise_penalty(
     stiffness, u = la.inv(compliance), np.zeros(len(compliance))
     load = rows.T @ (area / area.sum())
     penalty = 30.0 / float(load @ compliance @ load) / float(area.sum())  # 30 times the body's own resistance
-    force = 0.0
+    force, drift = 0.0, np.inf
     for _ in range(12):
-        u = _settle(stiffness, rows, gap, penalty * area, u)
+        u = settle(stiffness, rows, gap, penalty * area, u)
         pressure = penalty * area * np.maximum(gap - rows @ u, 0.0)
         before, force = force, float(pressure.sum())
         drift = abs(force - before) / max(force, 1e-300)
@@ -332,7 +350,7 @@ def _touching_height(body: Body, indenter: Indenter, at: float) -> float:
     return first_contact(dense, indenter, at)
 
 
-def _settle(stiffness: Array, rows: sp.csr_matrix, gap: Array, weight: Array, u: Array) -> Array:
+def settle(stiffness: Array, rows: sp.csr_matrix, gap: Array, weight: Array, u: Array) -> Array:
     """Minimise u'Su/2 + sum w max(gap - row u, 0)^2/2 over u.  Raises RuntimeError after 80 Newton steps."""
 
     def energy(v: Array) -> float:

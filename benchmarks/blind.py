@@ -1,0 +1,148 @@
+"""How often the residual loop is right about laboratories it has never seen, made by another finite-element program.
+
+`python -m benchmarks.blind [--quick] [--seeds N] [--scenarios a,b] [--noise 0.02] [--out FOLDER] [--mesh] [--json FILE]`
+
+Writes every scenario of `tests/blind` with N draws of noise, runs `fingerjax diagnose` on each as its own process, and scores the reports
+against the truths. What is finished is kept in FOLDER, so that a run that was stopped goes on. `--quick` takes eight scenarios with a
+coarse mesh and few rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from benchmarks._record import Figure, record, table, write
+from tests.blind import folders, score
+from tests.blind.scenarios import SCENARIOS
+from tests.blind.truths import Truths, in_order
+
+QUICK = (
+    "none_human",
+    "none_monkey",
+    "nail_compliance",
+    "contact_offset",
+    "relaxation",
+    "rate_saturation",
+    "callus",
+    "load_cell_gain",
+)
+COARSER = 1.4
+TIMEOUT = 3600.0
+"""s after which a diagnosis is given up."""
+
+
+def diagnosed(case: Path) -> dict[str, Any] | None:
+    """The report on the laboratory in `case/lab`: kept from before where the laboratory is the same, else made; None where it broke off."""
+    lab, out, stamp = case / "lab", case / "report", case / "diagnosed"
+    same = stamp.exists() and stamp.read_text() == _contents(lab)
+    report = out / "report.json"
+    if not (same and report.exists()):
+        command = [sys.executable, "-m", "fingerjax", "diagnose", str(lab / "experiments.yaml"), "--out", str(out)]
+        with (case / "log.txt").open("w") as log:
+            report.unlink(missing_ok=True)
+            if not _ended(command, log) or not report.exists():
+                return None
+        stamp.write_text(_contents(lab))
+    return json.loads(report.read_text())
+
+
+def _ended(command: Sequence[str], log: Any) -> bool:
+    try:
+        return subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, timeout=TIMEOUT).returncode in (0, 1)
+    except subprocess.TimeoutExpired:
+        return False
+
+
+def _contents(folder: Path) -> str:
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in files)).hexdigest()
+
+
+def outcomes(names: Iterable[str], seeds: int, noise: float, folder: Path, *, thin: bool) -> tuple[list[score.Outcome], list[str]]:
+    """Every diagnosis that ended, scored, and the names of those that did not."""
+    truths = Truths(folder / "mechanics", thin, tell=_say)
+    found, broken = [], []
+    for name in in_order(names):
+        for seed in range(1, seeds + 1):
+            case = folder / f"{name}-{noise:g}-{seed}"
+            truth = folder / "truths" / f"{case.name}.yaml"
+            folders.write(SCENARIOS[name], truths, case / "lab", truth, noise=noise, seed=seed)
+            began, report = time.perf_counter(), diagnosed(case)
+            if report is None:
+                broken.append(case.name)
+                _say(f"{case.name}: broke off, see {case / 'log.txt'}")
+                continue
+            found.append(score.judge(report, yaml.safe_load(truth.read_text())))
+            _say(_told(found[-1], time.perf_counter() - began))
+    return found, broken
+
+
+def _told(one: score.Outcome, seconds: float) -> str:
+    named = f": {', '.join(one.named)}" if one.named else ""
+    return f"{one.case} (lambda {one.excess:.3g}): {one.verdict}{named} ({seconds:.0f} s)"
+
+
+def figures(found: Sequence[score.Outcome], broken: Sequence[str]) -> list[Figure]:
+    """The table of scores; lines of which there is no case are left out."""
+    total = len(found) + len(broken)
+    failed = Figure("diagnoses that broke off", len(broken), "1", "<= 0", not broken, f"of {total}")
+    return [failed, *(_figure(line) for line in score.table(found) if line.count)]
+
+
+def mesh_figures(folder: Path, *, thin: bool) -> Iterator[Figure]:
+    """What is left of mesh error in the noise-free readings: their change on bricks that are 1.4 times as long."""
+    truths = Truths(folder / "mechanics", thin, tell=_say)
+    for finger in ("human", "monkey"):
+        for name, (most, mean) in truths.coarser(finger, COARSER).items():
+            yield Figure(f"{finger}, {name}: change of the truth on coarser bricks", 100 * mean, "%", note=f"largest {100 * most:.2g} %")
+
+
+def _figure(line: score.Line) -> Figure:
+    note = f"{line.count} cases" if line.low != line.low else f"{line.count} cases, 95 % interval {line.low:.3f} to {line.high:.3f}"
+    if line.goal is None:
+        return Figure(line.name, line.value, "1", note=note)
+    low, high = line.goal
+    words = f"<= {high:g}" if low == 0.0 else f">= {low:g}" if high == 1.0 else f"{low:g} to {high:g}"
+    return Figure(line.name, line.value, "1", words, low <= line.value <= high, note)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="eight scenarios, coarse mesh, few rows")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="draws of noise of each scenario")
+    parser.add_argument("--scenarios", default="", metavar="a,b", help=f"of: {', '.join(SCENARIOS)}")
+    parser.add_argument("--noise", type=float, default=0.02, help="share of the largest reading")
+    parser.add_argument("--out", type=Path, default=Path("build/blind"), metavar="FOLDER", help="laboratories, truths and reports")
+    parser.add_argument("--mesh", action="store_true", help="only ask how much the truths change on coarser bricks")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
+    said = parser.parse_args(arguments)
+    names = [name for name in said.scenarios.split(",") if name] or list(QUICK if said.quick else SCENARIOS)
+    if unknown := sorted(set(names) - set(SCENARIOS)):
+        parser.error(f"no scenario is called {', '.join(unknown)}")
+    folder = said.out / ("thin" if said.quick else "full")
+    if said.mesh:
+        measured = list(mesh_figures(folder, thin=said.quick))
+    else:
+        measured = figures(*outcomes(names, said.seeds, said.noise, folder, thin=said.quick))
+    print(table(measured))
+    if said.json is not None:
+        write(said.json, record(measured, quick=said.quick))
+
+
+if __name__ == "__main__":
+    main()
