@@ -45,7 +45,7 @@ from fingerjax.study import Study, load_studies
 PAD, DORSUM = (200.0, 340.0), (20.0, 160.0)  # deg
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "geometry.md"
 BUILD_LIMIT = {"monkey": 40.0, "human": 40.0, "monkey fine": 180.0}  # s
-COARSE = Resolution(1.0)  # of the first rung of the ladder
+COARSE = Resolution(1.5)  # of the first rung of the ladder: the third has nine times its triangles, and three elements through a layer
 TABLE = """
 version: 1
 studies:

@@ -76,7 +76,7 @@ def ladder(solid: LayeredSolid, step: int, resolution: Resolution = DEFAULT, foc
     It is then refined under each `focus`, whose size is the caller's to shrink.
     """
     base = content_key(MESHER, solid.digest, resolution)
-    key = content_key(base, solid.name, *focus, *((f"step {step}",) if step > 1 else ()))
+    key = content_key(base, solid.name, *focus, *([REFINER] if focus else []), *((f"step {step}",) if step > 1 else ()))
 
     def build() -> Finger:
         started, stored = time.perf_counter(), _skin(solid, resolution, base)
