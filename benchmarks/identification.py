@@ -329,8 +329,9 @@ def not_seen(study: Study) -> Iterator[Figure]:
     yield at_least("one force for two layers: profiles that say so", sum(not one.identified for one in lines), "1", 1.0)
 
 
-TEXT = """What a fit says of its own certainty, on data whose truth is known, and beside the paper's grid of powers of ten. Without `--full`
-grid, intervals and design are on coarse meshes, as their notes say. Written by `python -m benchmarks.identification --write`. Measured on"""
+TEXT = """What a fit says of its own certainty, on data whose truth is known, and beside the paper's grid of powers of ten. Without
+`--full`, grid, intervals and design are on coarse meshes, as their notes say. Written by `python -m benchmarks.identification --write`.
+Measured on"""
 PAGE = ROOT / "docs" / "identification.md"
 
 if __name__ == "__main__":

@@ -216,8 +216,20 @@ class BootstrapKeys(Strict):
     seed: int = 0
 
 
+class SampleKeys(Strict):
+    """Samples of the posterior: `chains` of `steps` each, a run of the model for every step."""
+
+    steps: int = Field(default=250, ge=50)
+    chains: int = Field(default=4, ge=2)
+    seed: int = 0
+
+
 class FitKeys(Strict):
-    """Which parameters move, by their names; the loss; and what is done to say how sure their values are."""
+    """Which parameters move, by their names; the loss; and what is done to say how sure their values are.
+
+    `noise`: of measurements that do not say how noisy they are, one share of their largest value, or `each` its own, estimated.
+    `finer_mm`: spacings on the pad of meshes that the fit is corrected to.
+    """
 
     free: list[str] = []
     tie: list[list[str]] = []
@@ -227,6 +239,9 @@ class FitKeys(Strict):
     starts: int = Field(default=1, ge=1, le=1024)
     profile: bool | list[str] = False
     bootstrap: BootstrapKeys | None = None
+    sample: SampleKeys | None = None
+    noise: Literal["shared", "each"] = "shared"
+    finer_mm: list[Positive] = []
 
 
 class HoldOutKeys(Strict):

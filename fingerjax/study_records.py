@@ -42,7 +42,10 @@ class Fit:
       for the group.
     - `priors`: name -> what was measured elsewhere.
     - `loss`: by name, see `identify.weighing`; `starts`: from how many places the fit begins.
-    - `profile`: the parameters whose likelihood is profiled. `bootstrap`: kind, repeats and seed; None where none is asked for.
+    - `profile`: the parameters whose likelihood is profiled. `bootstrap`: kind, repeats and seed; `sample`: steps, chains and seed; None
+      where none is asked for.
+    - `own_noise`: whether every measurement that says nothing of its noise has its own. `finer`: mm, spacings on the pad of the meshes
+      that the fit is corrected to, coarsest first.
     """
 
     free: tuple[str, ...] = ()
@@ -53,6 +56,9 @@ class Fit:
     starts: int = 1
     profile: tuple[str, ...] = ()
     bootstrap: tuple[str, int, int] | None = None
+    sample: tuple[int, int, int] | None = None
+    own_noise: bool = False
+    finer: tuple[float, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

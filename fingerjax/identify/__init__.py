@@ -7,6 +7,7 @@ from fingerjax.identify.bootstrap import Bootstrap, bootstrap
 from fingerjax.identify.directions import Direction, directions
 from fingerjax.identify.fit import Fit, Step, fit
 from fingerjax.identify.multistart import Multistart, multistart
+from fingerjax.identify.noise import with_own_noise
 from fingerjax.identify.posterior import Posterior, sample
 from fingerjax.identify.profile import Profile, profile, profiles
 from fingerjax.identify.refined import Refined, refined
@@ -37,4 +38,5 @@ __all__ = [
     "sample",
     "sensitivity",
     "uncertainty",
+    "with_own_noise",
 ]
