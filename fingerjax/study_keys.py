@@ -314,7 +314,7 @@ class StudyKeys(Strict):
     """One study, as written."""
 
     version: Literal[1] = 1
-    kind: Literal["fit", "table", "layer_study", "predict"] = "fit"
+    kind: Literal["fit", "table", "layer_study", "sweep", "predict"] = "fit"
     notes: str = ""
     finger: Finger
     model: Model
@@ -342,6 +342,6 @@ class StudyKeys(Strict):
                 f"a study of kind {self.kind} needs measurements", place="measurements", remedy=remedy
             )
         if self.kind in ("fit", "predict") and self.options is not None:
-            remedy = "take them out, or write kind: table or layer_study"
+            remedy = "take them out, or write kind: table, layer_study or sweep"
             raise InputError(f"a study of kind {self.kind} has no options", place="options", remedy=remedy)
         return self

@@ -34,6 +34,7 @@ from .study_records import (
     TableRow,
     base_parameters,
 )
+from .study_sweep import Sweep, SweepKeys, read_sweep
 from .tidy import LABELS, QUANTITIES, Tidy
 from .units import internal_unit, split_unit, to_internal
 from .yamlfile import Origin, located
@@ -256,7 +257,7 @@ class StudyReader:
         taken = [entry.name for entry in keys.measurements]
         return read_design(keys.design, fit.free, taken, self.file.parent, self._below("design"))
 
-    def _options(self, keys: StudyKeys) -> ForceTable | LayerStudy | None:
+    def _options(self, keys: StudyKeys) -> ForceTable | LayerStudy | Sweep | None:
         inner = self._below("options")
         if keys.kind == "table":
             return self._force_table(checked(TableKeys, keys.options or {}, inner), keys.finger.preset)
@@ -265,6 +266,8 @@ class StudyReader:
             with located(inner, "indenter"):
                 indenter = read_indenter(said.indenter, folder=self.file.parent)
             return LayerStudy(tuple(said.models), said.depth_mm, indenter, said.span_mm, said.spacing_mm)
+        if keys.kind == "sweep":
+            return read_sweep(checked(SweepKeys, keys.options or {}, inner), self.file.parent, inner)
         return None
 
     def _force_table(self, said: TableKeys, preset: str | None) -> ForceTable | None:

@@ -15,6 +15,7 @@ from .parameters import Parameter
 from .spelling import choose_from
 from .study_design import Design
 from .study_keys import Finger, Model
+from .study_sweep import Sweep
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,12 +128,12 @@ class LayerStudy:
 class Study:
     """One study, checked.
 
-    - `kind`: `fit`, `table`, `layer_study` or `predict`.
+    - `kind`: `fit`, `table`, `layer_study`, `sweep` or `predict`.
     - `finger`, `model`: as written, see `study_keys`; `sections` is where the geometry's CSV is, `shape` the file of its images,
       scan or mesh, `bone` that of the bone's own sections; None where there is none.
     - `missing_data`: files in the data folder that are not there; while there are any, `fallback` (if not
       None) is the name of the study to run instead, and `measurements` holds only what could be read.
-    - `options`: of a `table` or a `layer_study`; None for the other kinds, and where its file is missing.
+    - `options`: of a `table`, a `layer_study` or a `sweep`; None for the other kinds, and where its file is missing.
     """
 
     name: str
@@ -146,7 +147,7 @@ class Study:
     fit: Fit
     diagnose: Diagnose | None
     design: Design | None = None
-    options: ForceTable | LayerStudy | None = None
+    options: ForceTable | LayerStudy | Sweep | None = None
     missing_data: tuple[str, ...] = ()
     fallback: str | None = None
     notes: str = ""
