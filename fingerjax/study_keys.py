@@ -228,7 +228,8 @@ class FitKeys(Strict):
     """Which parameters move, by their names; the loss; and what is done to say how sure their values are.
 
     `noise`: of measurements that do not say how noisy they are, one share of their largest value, or `each` its own, estimated.
-    `finer_mm`: spacings on the pad of meshes that the fit is corrected to.
+    `finer_mm`: spacings on the pad of meshes that the fit is corrected to. `workers`: how many starts are fitted at once; one for every
+    two cores where nothing is said.
     """
 
     free: list[str] = []
@@ -237,6 +238,7 @@ class FitKeys(Strict):
     priors: dict[str, dict[str, Any]] = {}
     loss: Literal["linear", "huber", "soft_l1", "cauchy"] = "linear"
     starts: int = Field(default=1, ge=1, le=1024)
+    workers: int | None = Field(default=None, ge=1, le=256)
     profile: bool | list[str] = False
     bootstrap: BootstrapKeys | None = None
     sample: SampleKeys | None = None

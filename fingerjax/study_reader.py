@@ -160,7 +160,8 @@ class StudyReader:
         self._check_finer(said, keys.finger.resolution.pad_mm)
         again, drawn = said.bootstrap, said.sample
         return Fit(
-            free=free, tie=tie, per=dict(said.per), priors=priors, loss=said.loss, starts=said.starts, profile=tuple(asked),
+            free=free, tie=tie, per=dict(said.per), priors=priors, loss=said.loss, starts=said.starts, workers=said.workers,
+            profile=tuple(asked),
             bootstrap=None if again is None else (again.kind, again.repeats, again.seed),
             sample=None if drawn is None else (drawn.steps, drawn.chains, drawn.seed),
             own_noise=said.noise == "each", finer=tuple(said.finer_mm),

@@ -42,7 +42,8 @@ class Fit:
     - `per`: name -> the label column (`subject`, ...) of which every value has its own; in a tie it holds
       for the group.
     - `priors`: name -> what was measured elsewhere.
-    - `loss`: by name, see `identify.weighing`; `starts`: from how many places the fit begins.
+    - `loss`: by name, see `identify.weighing`; `starts`: from how many places the fit begins; `workers`: how many of them at once, None
+      where the machine decides.
     - `profile`: the parameters whose likelihood is profiled. `bootstrap`: kind, repeats and seed; `sample`: steps, chains and seed; None
       where none is asked for.
     - `own_noise`: whether every measurement that says nothing of its noise has its own. `finer`: mm, spacings on the pad of the meshes
@@ -55,6 +56,7 @@ class Fit:
     priors: dict[str, Prior] = dataclasses.field(default_factory=dict)
     loss: str = "linear"
     starts: int = 1
+    workers: int | None = None
     profile: tuple[str, ...] = ()
     bootstrap: tuple[str, int, int] | None = None
     sample: tuple[int, int, int] | None = None

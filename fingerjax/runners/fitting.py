@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from ..forward import Assembled, Prediction, assemble
 from ..forward.model import noise_of
 from ..forward.problem import Problem
 from ..identify import Fit, Multistart, Uncertainty, fit, multistart, sensitivity, uncertainty, with_own_noise
+from ..identify.workers import room
 from ..layers import SOFT_LAYERS
 from ..report import figures, words
 from ..report.records import Context, Figure, Row, StudyResult, Table, fit_record, mesh_record, misfit
@@ -57,9 +59,15 @@ def _more(study: Study) -> bool:
 def _fitted(study: Study, problem: Problem, context: Context) -> tuple[Fit, Multistart | None]:
     """The fit, or the best of those from several starts."""
     if study.fit.starts > 1:
-        many = multistart(problem, study.fit.starts, tell=context.tell)
+        workers = study.fit.workers or room()
+        many = multistart(problem, study.fit.starts, remake=partial(_problem, study), workers=workers, tell=context.tell)
         return many.best, many
     return fit(problem, progress=lambda step: context.tell(min(0.08 * step.step, 1.0), f"step {step.step}, chi2 {step.chi2:.4g}")), None
+
+
+def _problem(study: Study) -> Problem:
+    """A study's problem from nothing but the study, as another process makes it; its mesh is in the cache by then."""
+    return assemble(study).problem()
 
 
 def _settled(
