@@ -77,6 +77,7 @@ class Penalty:
         ]
         data, row, column = (np.concatenate(each) for each in zip(*parts, strict=True))
         self.reads = sp.csr_matrix((data, (row, column)), shape=(self.area.size, self.K.shape[0]))
+        self.reads.eliminate_zeros()  # unknowns along x and z, and off the skin
 
     def press(self, indenter: AbstractIndenter, origin: tuple[float, float], travel: float, lowest: float) -> tuple[float, np.ndarray]:
         """Force, N, and pressure (q,), MPa, at every point, with the penalty raised until the force no longer changes.
@@ -86,45 +87,46 @@ class Penalty:
         x, y, z = self.at
         gap = lowest + travel + np.asarray(indenter.surface(x - origin[0], z - origin[1])) - y
         near = (self.area > 0) & np.asarray(indenter.covers(x - origin[0], z - origin[1])) & (gap > -travel)
-        touched = np.unique(self.reads[near].indices)
-        S, reads, gap, area = self._seen_from(touched), self.reads[near][:, touched].toarray(), gap[near], self.area[near]
-        u, force, stiff = np.zeros(len(touched)), 0.0, 1.0
+        A, gap, area = self._compliance(near), gap[near], self.area[near]
+        bears, force, stiff = np.zeros(len(gap)), 0.0, 1.0
         while True:
-            u = _rest(S, reads, gap, stiff * area, u)
-            overlap = np.maximum(gap - reads @ u, 0.0)
-            before, force = force, float(stiff * area @ overlap)
+            bears = _rest(A, gap, stiff * area, bears)
+            before, force = force, float(bears.sum())
             if abs(force - before) < IDLE * force:
                 pressure = np.zeros(near.size)
-                pressure[near] = stiff * overlap
+                pressure[near] = bears / area
                 return force, pressure
             stiff *= RAISED
 
-    def _seen_from(self, touched: np.ndarray) -> np.ndarray:
-        """Stiffness of the whole body at some unknowns, the rest free to move."""
-        number = np.cumsum(self.free) - 1
-        load = np.zeros((int(self.free.sum()), len(touched)))
-        load[number[touched], np.arange(len(touched))] = 1.0
+    def _compliance(self, near: np.ndarray) -> np.ndarray:
+        """(q, q) mm/N: what the marked points move by along y under unit forces along y on each of them."""
+        reads = self.reads[near][:, self.free]
+        touched = np.unique(reads.indices)
+        load = np.zeros((reads.shape[1], len(touched)))
+        load[touched, np.arange(len(touched))] = 1.0
         K = self.K[self.free][:, self.free]
         answer = pypardiso.spsolve(K, load) if pypardiso is not None else spla.splu(K.tocsc()).solve(load)
-        return np.linalg.inv(answer[number[touched]])
+        only = reads[:, touched]
+        return np.asarray(only @ (only @ answer[touched].T).T)
 
 
-def _rest(S: np.ndarray, reads: np.ndarray, gap: np.ndarray, weight: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Newton's method on the energy u'Su/2 + sum w max(gap - r u, 0)^2/2, steps halved while it grows."""
+def _rest(A: np.ndarray, gap: np.ndarray, weight: np.ndarray, bears: np.ndarray) -> np.ndarray:
+    """Newton's method on the energy f'Af/2 + sum w max(gap - A f, 0)^2/2 in the points' forces f, N; steps halved while it grows."""
 
-    def energy(v: np.ndarray) -> float:
-        return 0.5 * float(v @ S @ v) + 0.5 * float(weight @ np.maximum(gap - reads @ v, 0.0) ** 2)
+    def energy(f: np.ndarray) -> float:
+        moved = A @ f
+        return 0.5 * float(f @ moved) + 0.5 * float(weight @ np.maximum(gap - moved, 0.0) ** 2)
 
-    for _ in range(100):
-        active = gap - reads @ u > 0
-        own = reads[active]
-        goal = np.linalg.solve(S + own.T @ (weight[active, None] * own), own.T @ (weight[active] * gap[active]))
-        if np.array_equal(gap - reads @ goal > 0, active):
+    for _ in range(200):
+        active = gap - A @ bears > 0
+        goal = np.zeros(len(gap))
+        goal[active] = np.linalg.solve(A[np.ix_(active, active)] + np.diag(1 / weight[active]), gap[active])
+        if np.array_equal(gap - A @ goal > 0, active):
             return goal
-        share = 1.0
-        while energy(u + share * (goal - u)) > energy(u) and share > 1e-4:
+        share, before = 1.0, energy(bears)
+        while energy(bears + share * (goal - bears)) > before and share > 1e-4:
             share *= 0.5
-        u = u + share * (goal - u)
+        bears = bears + share * (goal - bears)
     raise RuntimeError("the penalty's contact did not settle; take a finer mesh")
 
 

@@ -163,8 +163,8 @@ def run(
     if page is not None:
         parser.add_argument("--write", action="store_true", help=f"renew {page[0].parent.name}/{page[0].name} as well")
     options = parser.parse_args(arguments)
-    _use_float64()
-    figures = [_shown(figure) for figure in main(options.quick)]
+    use_float64()
+    figures = [shown(figure) for figure in main(options.quick)]
     print(table(figures))
     if options.json is not None:
         write(options.json, record(figures, quick=options.quick))
@@ -172,13 +172,14 @@ def run(
         page[0].write_text(page[1](figures), encoding="utf-8")
 
 
-def _shown(figure: Figure) -> Figure:
+def shown(figure: Figure) -> Figure:
     """The figure, told on stderr as it comes: a benchmark can take many minutes."""
     print("  ".join(_row(figure)), file=sys.stderr, flush=True)
     return figure
 
 
-def _use_float64() -> None:
+def use_float64() -> None:
+    """What every benchmark computes in."""
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -27,6 +27,7 @@ from .study_records import (
     TableRow,
     base_parameters,
 )
+from .study_sweep import Sweep
 from .yamlfile import Document, Origin, located, read_yaml
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "Model",
     "Prior",
     "Study",
+    "Sweep",
     "TableRow",
     "base_parameters",
     "load_studies",

@@ -216,8 +216,21 @@ class BootstrapKeys(Strict):
     seed: int = 0
 
 
+class SampleKeys(Strict):
+    """Samples of the posterior: `chains` of `steps` each, a run of the model for every step."""
+
+    steps: int = Field(default=250, ge=50)
+    chains: int = Field(default=4, ge=2)
+    seed: int = 0
+
+
 class FitKeys(Strict):
-    """Which parameters move, by their names; the loss; and what is done to say how sure their values are."""
+    """Which parameters move, by their names; the loss; and what is done to say how sure their values are.
+
+    `noise`: of measurements that do not say how noisy they are, one share of their largest value, or `each` its own, estimated.
+    `finer_mm`: spacings on the pad of meshes that the fit is corrected to. `workers`: how many starts are fitted at once; one for every
+    two cores where nothing is said.
+    """
 
     free: list[str] = []
     tie: list[list[str]] = []
@@ -225,8 +238,12 @@ class FitKeys(Strict):
     priors: dict[str, dict[str, Any]] = {}
     loss: Literal["linear", "huber", "soft_l1", "cauchy"] = "linear"
     starts: int = Field(default=1, ge=1, le=1024)
+    workers: int | None = Field(default=None, ge=1, le=256)
     profile: bool | list[str] = False
     bootstrap: BootstrapKeys | None = None
+    sample: SampleKeys | None = None
+    noise: Literal["shared", "each"] = "shared"
+    finer_mm: list[Positive] = []
 
 
 class HoldOutKeys(Strict):
@@ -299,7 +316,7 @@ class StudyKeys(Strict):
     """One study, as written."""
 
     version: Literal[1] = 1
-    kind: Literal["fit", "table", "layer_study", "predict"] = "fit"
+    kind: Literal["fit", "table", "layer_study", "sweep", "predict"] = "fit"
     notes: str = ""
     finger: Finger
     model: Model
@@ -327,6 +344,6 @@ class StudyKeys(Strict):
                 f"a study of kind {self.kind} needs measurements", place="measurements", remedy=remedy
             )
         if self.kind in ("fit", "predict") and self.options is not None:
-            remedy = "take them out, or write kind: table or layer_study"
+            remedy = "take them out, or write kind: table, layer_study or sweep"
             raise InputError(f"a study of kind {self.kind} has no options", place="options", remedy=remedy)
         return self

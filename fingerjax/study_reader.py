@@ -5,6 +5,7 @@ is read.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from .study_records import (
     TableRow,
     base_parameters,
 )
+from .study_sweep import Sweep, SweepKeys, read_sweep
 from .tidy import LABELS, QUANTITIES, Tidy
 from .units import internal_unit, split_unit, to_internal
 from .yamlfile import Origin, located
@@ -155,11 +157,27 @@ class StudyReader:
         tie = tuple(tuple(group) for group in said.tie)
         asked = said.profile if isinstance(said.profile, list) else list(free) if said.profile else []
         self._known(asked, free, "fit", "profile")
-        again = said.bootstrap
+        self._check_finer(said, keys.finger.resolution.pad_mm)
+        again, drawn = said.bootstrap, said.sample
         return Fit(
-            free=free, tie=tie, per=dict(said.per), priors=priors, loss=said.loss, starts=said.starts, profile=tuple(asked),
+            free=free, tie=tie, per=dict(said.per), priors=priors, loss=said.loss, starts=said.starts, workers=said.workers,
+            profile=tuple(asked),
             bootstrap=None if again is None else (again.kind, again.repeats, again.seed),
+            sample=None if drawn is None else (drawn.steps, drawn.chains, drawn.seed),
+            own_noise=said.noise == "each", finer=tuple(said.finer_mm),
         )  # fmt: skip
+
+    def _check_finer(self, said: FitKeys, pad: float) -> None:
+        sizes = [pad, *said.finer_mm]
+        for index, (before, size) in enumerate(itertools.pairwise(sizes)):
+            if size >= before:
+                at, where = self.origin(("fit", "finer_mm", index))
+                remedy = f"write spacings below {before:g} mm, each smaller than the one before"
+                raise InputError("a mesh that is not finer", file=at, place=where, seen=size, remedy=remedy)
+        if said.sample is not None and said.loss != "linear":
+            at, where = self.origin(("fit", "sample"))
+            remedy = "take it out, or write loss: linear"
+            raise InputError("samples need a fit by squares", file=at, place=where, seen=said.loss, remedy=remedy)
 
     def _known(self, names: Sequence[str], allowed: Sequence[str], *keys: str | int) -> None:
         for index, name in enumerate(names):
@@ -240,7 +258,7 @@ class StudyReader:
         taken = [entry.name for entry in keys.measurements]
         return read_design(keys.design, fit.free, taken, self.file.parent, self._below("design"))
 
-    def _options(self, keys: StudyKeys) -> ForceTable | LayerStudy | None:
+    def _options(self, keys: StudyKeys) -> ForceTable | LayerStudy | Sweep | None:
         inner = self._below("options")
         if keys.kind == "table":
             return self._force_table(checked(TableKeys, keys.options or {}, inner), keys.finger.preset)
@@ -249,6 +267,8 @@ class StudyReader:
             with located(inner, "indenter"):
                 indenter = read_indenter(said.indenter, folder=self.file.parent)
             return LayerStudy(tuple(said.models), said.depth_mm, indenter, said.span_mm, said.spacing_mm)
+        if keys.kind == "sweep":
+            return read_sweep(checked(SweepKeys, keys.options or {}, inner), self.file.parent, inner)
         return None
 
     def _force_table(self, said: TableKeys, preset: str | None) -> ForceTable | None:

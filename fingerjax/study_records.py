@@ -15,6 +15,7 @@ from .parameters import Parameter
 from .spelling import choose_from
 from .study_design import Design
 from .study_keys import Finger, Model
+from .study_sweep import Sweep
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,8 +42,12 @@ class Fit:
     - `per`: name -> the label column (`subject`, ...) of which every value has its own; in a tie it holds
       for the group.
     - `priors`: name -> what was measured elsewhere.
-    - `loss`: by name, see `identify.weighing`; `starts`: from how many places the fit begins.
-    - `profile`: the parameters whose likelihood is profiled. `bootstrap`: kind, repeats and seed; None where none is asked for.
+    - `loss`: by name, see `identify.weighing`; `starts`: from how many places the fit begins; `workers`: how many of them at once, None
+      where the machine decides.
+    - `profile`: the parameters whose likelihood is profiled. `bootstrap`: kind, repeats and seed; `sample`: steps, chains and seed; None
+      where none is asked for.
+    - `own_noise`: whether every measurement that says nothing of its noise has its own. `finer`: mm, spacings on the pad of the meshes
+      that the fit is corrected to, coarsest first.
     """
 
     free: tuple[str, ...] = ()
@@ -51,8 +56,12 @@ class Fit:
     priors: dict[str, Prior] = dataclasses.field(default_factory=dict)
     loss: str = "linear"
     starts: int = 1
+    workers: int | None = None
     profile: tuple[str, ...] = ()
     bootstrap: tuple[str, int, int] | None = None
+    sample: tuple[int, int, int] | None = None
+    own_noise: bool = False
+    finer: tuple[float, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,12 +130,12 @@ class LayerStudy:
 class Study:
     """One study, checked.
 
-    - `kind`: `fit`, `table`, `layer_study` or `predict`.
+    - `kind`: `fit`, `table`, `layer_study`, `sweep` or `predict`.
     - `finger`, `model`: as written, see `study_keys`; `sections` is where the geometry's CSV is, `shape` the file of its images,
       scan or mesh, `bone` that of the bone's own sections; None where there is none.
     - `missing_data`: files in the data folder that are not there; while there are any, `fallback` (if not
       None) is the name of the study to run instead, and `measurements` holds only what could be read.
-    - `options`: of a `table` or a `layer_study`; None for the other kinds, and where its file is missing.
+    - `options`: of a `table`, a `layer_study` or a `sweep`; None for the other kinds, and where its file is missing.
     """
 
     name: str
@@ -140,7 +149,7 @@ class Study:
     fit: Fit
     diagnose: Diagnose | None
     design: Design | None = None
-    options: ForceTable | LayerStudy | None = None
+    options: ForceTable | LayerStudy | Sweep | None = None
     missing_data: tuple[str, ...] = ()
     fallback: str | None = None
     notes: str = ""

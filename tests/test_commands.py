@@ -80,7 +80,7 @@ class Runs:
 def runs(monkeypatch: pytest.MonkeyPatch) -> Iterator[Runs]:
     """A runner for every kind; and no cache folder is touched."""
     stand_in = Runs()
-    for kind in ("predict", "fit", "table", "layer_study"):
+    for kind in ("predict", "fit", "table", "layer_study", "sweep"):
         monkeypatch.setitem(run_module.RUNNERS, kind, stand_in)
     monkeypatch.setattr(run_module, "prepare", lambda: None)
     yield stand_in

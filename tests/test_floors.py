@@ -23,7 +23,10 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "touching": ("contact",),
     "instruments": ("measure", "response"),
     "effects": ("effects",),
-    "experiments": ("indenter_spec", "measurements", "finger_keys", "study_design", "study_keys", "study_records", "study_reader", "study"),
+    "experiments": (
+        *("indenter_spec", "measurements", "finger_keys", "study_design", "study_sweep"),
+        *("study_keys", "study_records", "study_reader", "study"),
+    ),
     "forward": ("forward",),
     "identify": ("identify", "loop"),
     "report": ("report", "runners", "commands", "__main__"),

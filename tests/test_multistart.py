@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from nist import RAT42
 
-from fingerjax.identify import Fit, fit, multistart
+from fingerjax.identify import Fit, Problem, fit, multistart
 from fingerjax.identify.informs import finite, leverage, leverage_rows, stations
 from fingerjax.measurements import Measurement
 from fingerjax.parameters import Parameter
@@ -20,12 +20,26 @@ from fingerjax.report import figures
 from .test_profile import X, problem, straight
 
 
-def test_starts_of_a_certified_problem_agree() -> None:
+def certified() -> Problem:
     parameters = [Parameter(f"b{j}", value, "1", "log", 1e-3, 1e4) for j, value in enumerate((75.0, 2.5, 0.07))]
-    many = multistart(problem(lambda b: RAT42.model(jnp.asarray(RAT42.x), b), np.array(RAT42.y), parameters), 6, spread=0.7)
+    return problem(lambda b: RAT42.model(jnp.asarray(RAT42.x), b), np.array(RAT42.y), parameters)
+
+
+def test_starts_of_a_certified_problem_agree() -> None:
+    many = multistart(certified(), 6, spread=0.7)
     assert many.agree and many.best.chi2 == pytest.approx(RAT42.rss, rel=1e-8)
     assert "end at one optimum" in many.verdict()
     assert len(many.rows()) == 6 and np.ptp(many.starts[:, 0]) > 0.7
+
+
+def test_starts_fitted_at_once_end_where_they_do_in_turn() -> None:
+    told: list[float] = []
+    once = multistart(certified(), 3, spread=0.7, remake=certified, workers=2, tell=lambda share, doing: told.append(share))
+    turn = multistart(certified(), 3, spread=0.7)
+    assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
+    for one, other in zip(once.fits, turn.fits, strict=True):
+        assert one.raw == pytest.approx(other.raw, rel=1e-10) and one.evaluations == other.evaluations and one.settled
+    assert once.agree and once.verdict() == turn.verdict()
 
 
 def test_two_optima_are_told_with_their_starts() -> None:

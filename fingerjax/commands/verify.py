@@ -23,7 +23,7 @@ from fingerjax.report.records import Row, Table, plain
 from fingerjax.report.tables import terminal
 from fingerjax.runners.force_table import measurements_of
 from fingerjax.runners.layer_models import profile
-from fingerjax.study import Fit, ForceTable, LayerStudy, Study, load_studies
+from fingerjax.study import Fit, ForceTable, LayerStudy, Study, Sweep, load_studies
 
 DOES_NOT_HOLD = 1
 SOFT = Fit(free=tuple(f"{layer}.modulus" for layer in SOFT_LAYERS))
@@ -98,7 +98,7 @@ def pieces(study: Study) -> Iterator[Study]:
         scale = {"ratios": options.models[0], "moduli_MPa": None, "epidermis_MPa": study.model.moduli()["epidermis"]}
         model = study.model.model_copy(update=scale)
         yield dataclasses.replace(study, model=model, measurements=(dataclasses.replace(one, sigma=sigma),), fit=SOFT)
-    else:
+    elif not isinstance(options, Sweep):  # which nothing is fitted to
         yield study if study.fit.free else dataclasses.replace(study, fit=SOFT)
 
 

@@ -7,7 +7,10 @@ from fingerjax.identify.bootstrap import Bootstrap, bootstrap
 from fingerjax.identify.directions import Direction, directions
 from fingerjax.identify.fit import Fit, Step, fit
 from fingerjax.identify.multistart import Multistart, multistart
+from fingerjax.identify.noise import with_own_noise
+from fingerjax.identify.posterior import Posterior, sample
 from fingerjax.identify.profile import Profile, profile, profiles
+from fingerjax.identify.refined import Refined, refined
 from fingerjax.identify.sensitivity import Sensitivity, sensitivity
 from fingerjax.identify.uncertainty import Estimate, Uncertainty, uncertainty
 
@@ -18,8 +21,10 @@ __all__ = [
     "Fit",
     "Health",
     "Multistart",
+    "Posterior",
     "Problem",
     "Profile",
+    "Refined",
     "Sensitivity",
     "Step",
     "Uncertainty",
@@ -29,6 +34,9 @@ __all__ = [
     "multistart",
     "profile",
     "profiles",
+    "refined",
+    "sample",
     "sensitivity",
     "uncertainty",
+    "with_own_noise",
 ]

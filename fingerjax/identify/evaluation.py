@@ -91,3 +91,15 @@ def evaluator(problem: Problem) -> Callable[[np.ndarray], Point]:
         )
 
     return evaluate
+
+
+@eqx.filter_jit
+def _read(residuals: Callable[[Array], tuple[Array, Health]], raw: Array) -> tuple[Array, Health]:
+    return residuals(raw)
+
+
+def residuals_at(problem: Problem, raw: np.ndarray) -> np.ndarray | None:
+    """Residuals (rows,) alone, without derivatives; None where a solve inside failed or a number is not finite."""
+    at = jnp.asarray(raw)
+    residual, health = _read(problem.residuals if problem.prepare is None else problem.prepare(at), at)
+    return np.asarray(residual) if bool(health.converged) and bool(np.all(np.isfinite(residual))) else None

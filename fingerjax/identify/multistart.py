@@ -6,7 +6,6 @@ Starts are spread over the raw parameters (logarithms of moduli) by a scrambled 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +14,11 @@ from scipy.stats import qmc
 from ..forward.problem import Problem
 from ..parameters import Parameter
 from .fit import Fit, fit
+from .workers import Remake, Tell, fits_at_once
 
 SPREAD = 1.5 * math.log(10.0)  # of log and logit parameters to either side of their start
 APART = 0.05  # raw distance over which two optima are two, unless chi2 is the same
 SAME_CHI2 = 1e-4  # relative difference of chi2 within which optima are one where they are on a plateau
-
-Tell = Callable[[float, str], object]
 
 
 @dataclass(frozen=True)
@@ -78,14 +76,24 @@ class Multistart:
 
 
 def multistart(
-    problem: Problem, count: int = 8, *, seed: int = 0, spread: float = SPREAD, tell: Tell = lambda share, doing: None
+    problem: Problem,
+    count: int = 8,
+    *,
+    seed: int = 0,
+    spread: float = SPREAD,
+    remake: Remake | None = None,
+    workers: int = 1,
+    tell: Tell = lambda share, doing: None,
 ) -> Multistart:
-    """Fit from the problem's own start and from `count` - 1 others.
+    """Fit from the problem's own start and from `count` - 1 others; several at once where there are `workers` and a way to `remake` it.
 
     **Arguments:** `spread` of log and logit parameters to either side of the start, as natural logarithm; identity parameters are spread
-    over their limits where these are finite, else by their own size.
+    over their limits where these are finite, else by their own size. `remake` makes the same problem in another process.
     """
     starts = _starts(problem, count, seed, spread)
+    if remake is not None and workers > 1:
+        there = fits_at_once(problem, remake, starts, workers, tell)
+        return Multistart(starts, tuple(there), _basins(there))
     fits = []
     for number, start in enumerate(starts):
         tell(number / count, f"start {number + 1} of {count}")

@@ -107,11 +107,12 @@ class _Seen:
         return cls(root @ root.T, unseen, np.any(np.abs(unseen) > INVOLVED, axis=1))
 
 
-def uncertainty(fit: Fit, *, level: float = 0.95) -> Uncertainty:
+def uncertainty(fit: Fit, *, level: float = 0.95, spread: np.ndarray | None = None) -> Uncertainty:
     """Standard errors, `level` intervals, correlations, and what the data do not see.
 
     **Arguments:** `fit` as `identify.fit` returned it. Where it is not settled everything is NaN: the
-    linearisation away from an optimum says nothing about the noise.
+    linearisation away from an optimum says nothing about the noise. `spread` (p, p), a covariance of the raw parameters that noise
+    knows nothing of, is added: what is left of the mesh's error (`refined.Refined.spread`).
 
     A parameter at its limit has no interval (it does not move with the data), and the others are given it. A
     parameter that takes part in an unseen direction has none either. In the sentences a direction reads as a
@@ -128,7 +129,7 @@ def uncertainty(fit: Fit, *, level: float = 0.95) -> Uncertainty:
     covariance = np.full((len(parameters), len(parameters)), np.nan)
     defined = np.flatnonzero(free)[~seen.involved]
     inner = _sandwich(fit, jacobian, seen, s2)[np.ix_(~seen.involved, ~seen.involved)]
-    covariance[np.ix_(defined, defined)] = inner
+    covariance[np.ix_(defined, defined)] = inner if spread is None else inner + spread[np.ix_(defined, defined)]
     unscaled = np.full_like(covariance, np.nan)
     unscaled[np.ix_(defined, defined)] = seen.covariance[np.ix_(~seen.involved, ~seen.involved)]
     t = float(stats.t.ppf(0.5 + level / 2, noise_dof)) if noise_dof > 0 else math.nan

@@ -35,7 +35,7 @@ DEFAULT = Resolution()
 MESHER = "columns 2"  # part of every key: raise it when the same input would give another mesh
 NESTED = "nested 2"
 PAPER = {"monkey": Resolution(), "monkey fine": Resolution(0.17, 1.0), "human": Resolution(0.9)}  # about 8,500, 29,000 and 8,500 nodes
-REFINER = "chords 2"  # the same for refined meshes alone
+REFINER = "chords 3"  # the same for refined meshes alone
 
 
 def build_finger(
@@ -76,7 +76,7 @@ def ladder(solid: LayeredSolid, step: int, resolution: Resolution = DEFAULT, foc
     It is then refined under each `focus`, whose size is the caller's to shrink.
     """
     base = content_key(MESHER, solid.digest, resolution)
-    key = content_key(base, solid.name, *focus, *((f"step {step}",) if step > 1 else ()))
+    key = content_key(base, solid.name, *focus, *([REFINER] if focus else []), *((f"step {step}",) if step > 1 else ()))
 
     def build() -> Finger:
         started, stored = time.perf_counter(), _skin(solid, resolution, base)

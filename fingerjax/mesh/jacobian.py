@@ -6,6 +6,8 @@ degree 5 (Walkington 2000); the determinant has degree 3.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from fingerjax.mesh.topology import EDGES, edges
@@ -55,7 +57,7 @@ def relaxed(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05
     `count` vertices come first in `nodes`, then the midsides. An element is bad when its smallest
     determinant, at the quadrature points and the corners, is below `worst` times its straight volume's. Its
     midsides go half-way to straight, for all elements that share them, until none is bad; after six rounds
-    they are made straight outright.
+    they are made straight outright, which ends, as an element whose sides are straight is not bad.
     """
     nodes, pull = pulled(nodes, tets, count, worst)
     return nodes, int(np.sum(pull > 0))
@@ -69,12 +71,12 @@ def pulled(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05)
     points = np.concatenate([POINTS, CORNERS])
     flat = determinants(np.concatenate([nodes[:count], straight]), tets, POINTS[:1])[:, 0]
     suspects = np.arange(len(tets))
-    for halving in range(12):
+    for halving in itertools.count():
         low = determinants(nodes, tets[suspects], points).min(axis=1)
         bad = tets[suspects[low < worst * flat[suspects]]]
-        if not len(bad):
-            break
         sides = np.unique(bad[:, 4:]) - count
+        if not left[sides].any():
+            break
         pull = 0.5 if halving < 6 else 1.0
         left[sides] *= 1.0 - pull
         nodes[count + sides] += pull * (straight[sides] - nodes[count + sides])

@@ -9,8 +9,15 @@ from ..study import Study
 from .fitting import fit_study, predict_study
 from .force_table import force_table
 from .layer_models import layer_models
+from .sweeps import sweep
 
 Runner = Callable[[Study, Context], StudyResult]
-RUNNERS: dict[str, Runner] = {"fit": fit_study, "predict": predict_study, "table": force_table, "layer_study": layer_models}
+RUNNERS: dict[str, Runner] = {
+    "fit": fit_study,
+    "predict": predict_study,
+    "table": force_table,
+    "layer_study": layer_models,
+    "sweep": sweep,
+}
 
 __all__ = ["RUNNERS", "Runner"]

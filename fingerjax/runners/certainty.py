@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from ..forward import Assembled
-from ..identify import Bootstrap, Fit, Multistart, Profile, Uncertainty, bootstrap, directions, profiles
+from ..identify import Bootstrap, Fit, Multistart, Posterior, Profile, Uncertainty, bootstrap, directions, profiles, sample
 from ..identify.bootstrap import REGULAR, agreement
 from ..identify.directions import sentences
 from ..identify.informs import finite, leverage_rows, stations
@@ -34,23 +34,33 @@ def how_sure(
     study: Study, assembled: Assembled, found: Fit, known: Uncertainty, many: Multistart | None, settled: StudyResult, context: Context
 ) -> StudyResult:
     """The result with whatever the study asks for under `profile`, `bootstrap` and `starts`, and what these say."""
-    wanted, again = _instances(study, assembled, found), study.fit.bootstrap
-    lines = profiles(found, wanted, tell=context.within(0.0, 0.5).tell) if wanted else ()
+    wanted, again, chains = _instances(study, assembled, found), study.fit.bootstrap, study.fit.sample
+    lines = profiles(found, wanted, tell=context.within(0.0, 0.4).tell) if wanted else ()
     repeats = None
     if again is not None:
         kind, count, seed = again
         cases = {one.name: case_labels(one) for one in study.measurements}
-        repeats = bootstrap(found, kind=kind, repeats=count, seed=seed, cases=cases, tell=context.within(0.5, 0.9).tell)
+        repeats = bootstrap(found, kind=kind, repeats=count, seed=seed, cases=cases, tell=context.within(0.4, 0.7).tell)
+    drawn = None
+    if chains is not None and known.identified:
+        drawn = sample(found, steps=chains[0], chains=chains[1], seed=chains[2], tell=context.within(0.7, 0.95).tell)
     context.tell(0.95, "finite changes")
-    warnings = [*settled.warnings, *_warnings(found, known, lines, repeats, many)]
+    warnings = [*settled.warnings, *_warnings(found, known, lines, repeats, drawn, many)]
+    if chains is not None and drawn is None:
+        warnings.append("Nothing was sampled: samples need data that see every parameter.")
     local = Table("finite_changes", "Local slopes against changes by a factor of ten, in sigmas", finite(found))
     return dataclasses.replace(
         settled,
         warnings=warnings,
         notes=[*settled.notes, *([many.verdict() + "."] if many is not None and many.agree else [])],
-        tables=[*settled.tables, *_tables(known, lines, repeats, many), local],
+        tables=[*settled.tables, *_tables(known, lines, repeats, drawn, many), local],
         figures=[*settled.figures, *_figures(found, lines, many)],
-        seeds={**settled.seeds, **({"bootstrap": repeats.seed} if repeats else {}), **({"starts": 0} if many else {})},
+        seeds={
+            **settled.seeds,
+            **({"bootstrap": repeats.seed} if repeats else {}),
+            **({"sample": drawn.seed} if drawn else {}),
+            **({"starts": 0} if many else {}),
+        },
     )
 
 
@@ -68,14 +78,20 @@ def _instances(study: Study, assembled: Assembled, found: Fit) -> tuple[str, ...
 
 
 def _warnings(
-    found: Fit, known: Uncertainty, lines: tuple[Profile, ...], repeats: Bootstrap | None, many: Multistart | None
+    found: Fit,
+    known: Uncertainty,
+    lines: tuple[Profile, ...],
+    repeats: Bootstrap | None,
+    drawn: Posterior | None,
+    many: Multistart | None,
 ) -> list[str]:
     said = [f"{one.verdict()}." for one in lines if not one.identified]
     said += [f"{each[0].upper()}{each[1:]}." for each in sentences(found)]
     said += [f"{many.verdict()[0].upper()}{many.verdict()[1:]}."] if many is not None and not many.agree else []
     lower = [one for one in lines if one.lower_chi2 is not None]
     said += [f"A lower chi-square was met on the profile of {one.parameter.name}: {one.lower_chi2:.6g}." for one in lower]
-    irregular = [row for row in _compared(known, lines, repeats) if row["regular"] == "no"]
+    said += [f"{drawn.verdict()}."] if drawn is not None and not drawn.mixed else []
+    irregular = [row for row in _compared(known, lines, repeats, drawn) if row["regular"] == "no"]
     if irregular:
         told = ", ".join(str(row["parameter"]) for row in irregular)
         said.append(f"Not regular: intervals of {told} differ by more than {REGULAR:.0%} from the linearised ones; use the profile's.")
@@ -84,8 +100,8 @@ def _warnings(
     return said
 
 
-def _compared(known: Uncertainty, lines: tuple[Profile, ...], repeats: Bootstrap | None) -> list[Row]:
-    """Intervals beside each other: linearised, profile, bootstrap; and whether they agree."""
+def _compared(known: Uncertainty, lines: tuple[Profile, ...], repeats: Bootstrap | None, drawn: Posterior | None) -> list[Row]:
+    """Intervals beside each other: linearised, profile, bootstrap, samples; and whether they agree."""
     profiled = {one.parameter.name: one for one in lines}
     found: list[Row] = []
     for one in known.estimates:
@@ -100,17 +116,24 @@ def _compared(known: Uncertainty, lines: tuple[Profile, ...], repeats: Bootstrap
             row |= {f"lower_{repeats.kind}": low, f"upper_{repeats.kind}": high}
             ratios.append(agreement(known, one.name, low, high))
             room += 1 / math.sqrt(max(len(repeats.raw), 1))
+        if drawn is not None:
+            low, high = drawn.interval(one.name)
+            row |= {"lower_samples": low, "upper_samples": high}
+            ratios += [agreement(known, one.name, low, high)] if drawn.mixed else []
         regular = bool(ratios) and all(abs(ratio - 1) <= room for ratio in ratios)
         found.append({**row, "regular": ("yes" if regular else "no") if ratios else ""})
     return found
 
 
-def _tables(known: Uncertainty, lines: tuple[Profile, ...], repeats: Bootstrap | None, many: Multistart | None) -> list[Table]:
+def _tables(
+    known: Uncertainty, lines: tuple[Profile, ...], repeats: Bootstrap | None, drawn: Posterior | None, many: Multistart | None
+) -> list[Table]:
     tables = []
-    if lines or repeats is not None:
+    if lines or repeats is not None or drawn is not None:
         sampled = "" if repeats is None else f", and 1/sqrt({len(repeats.raw)}) for the repeats' own scatter"
         note = f"Regular: widths agree with the linearised ones within {REGULAR:.0%}{sampled}."
-        tables.append(Table("intervals", "95 % intervals, three ways", _compared(known, lines, repeats), note))
+        note += f" {drawn.verdict()}." if drawn is not None else ""
+        tables.append(Table("intervals", "95 % intervals beside each other", _compared(known, lines, repeats, drawn), note))
     if lines:
         rows = [{"parameter": one.parameter.name, "verdict": one.verdict(), "runs_of_the_model": one.evaluations} for one in lines]
         tables.append(Table("verdicts", "What the profiles say", rows))

@@ -1,0 +1,114 @@
+"""A fit on one mesh brought to where finer meshes would put it, and what of the mesh's error is left in it.
+
+    d = r_fine(theta) - r(theta),        theta <- argmin |r + d|^2        until theta no longer moves
+
+The defect d is computed at few places on the fine mesh; every step of the fit stays on the coarse one (defect correction: Stetter,
+Numer. Math. 29, 1978). The answer is that of the fine mesh, and so are profiles, repeats and samples of the corrected problem, as far as
+the defect stays as it is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..forward.problem import Health, Problem
+from .evaluation import residuals_at
+from .fit import Fit, fit
+from .uncertainty import uncertainty
+
+STILL = 0.05  # standard errors by which a correction may still move a parameter
+ROUNDS = 6  # on each mesh
+
+
+class Corrected(eqx.Module):
+    """Residuals on one mesh, with the `defect` (rows,) that another mesh adds to them."""
+
+    residuals: Callable[[Array], tuple[Array, Health]]
+    defect: Float[Array, " rows"]
+
+    def __call__(self, raw: Float[Array, " p"]) -> tuple[Float[Array, " rows"], Health]:
+        residual, health = self.residuals(raw)
+        return residual + self.defect, health
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A fit corrected to finer and finer meshes.
+
+    - `fits`: the one on the coarse mesh, then one for each finer mesh, all on the coarse mesh's elements.
+    - `shifts` (meshes, p): by how much each finer mesh moved the raw parameters.
+    """
+
+    fits: tuple[Fit, ...]
+    shifts: np.ndarray
+
+    @property
+    def best(self) -> Fit:
+        """The fit with the finest mesh's readings."""
+        return self.fits[-1]
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(p, p) covariance of what the finest mesh leaves: as if one more mesh could move all parameters together by its own shift.
+
+        With two finer meshes or more, by that shift times the ratio in which the last two fell, which is the whole of what is left where
+        they go on so: a geometric row.
+        """
+        last = self.shifts[-1]
+        if len(self.shifts) > 1:
+            fell = float(np.linalg.norm(last) / max(np.linalg.norm(self.shifts[-2]), 1e-300))
+            last = last * (fell / (1 - fell) if fell < 0.5 else 1.0)
+        return np.outer(last, last)
+
+
+def corrected(problem: Problem, defect: np.ndarray) -> Problem:
+    """The problem with a defect (rows,) added to its residuals."""
+    added, prepare = jnp.asarray(defect), problem.prepare
+    residuals = Corrected(problem.residuals, added)
+    if prepare is None:
+        return dataclasses.replace(problem, residuals=residuals)
+    return dataclasses.replace(problem, residuals=residuals, prepare=lambda raw: Corrected(prepare(raw), added))
+
+
+def refined(best: Fit, finer: Sequence[Problem], *, tell: Callable[[float, str], object] = lambda share, doing: None) -> Refined:
+    """Correct a settled fit to each of `finer`, the same problem on finer meshes, the coarsest of them first.
+
+    A correction that does not settle ends the row there; so does a finer mesh whose solves fail.
+
+    **Raises** `ValueError` for a fit that is not settled, or a finer problem with other parameters.
+    """
+    if not best.settled:
+        raise ValueError(f"the fit is not settled ({best.reason}): there is nothing to correct")
+    fits, shifts = [best], []
+    for number, problem in enumerate(finer):
+        if problem.names != best.problem.names:
+            raise ValueError(f"the finer problem fits {', '.join(problem.names)}, not {', '.join(best.problem.names)}")
+        tell(number / len(finer), f"correcting to mesh {number + 1} of {len(finer)}")
+        found = _corrected_to(best.problem, problem, fits[-1])
+        if found is None:
+            break
+        shifts.append(found.raw - fits[-1].raw)
+        fits.append(found)
+    return Refined(tuple(fits), np.array(shifts).reshape(-1, best.raw.size))
+
+
+def _corrected_to(coarse: Problem, fine: Problem, begun: Fit) -> Fit | None:
+    found = begun
+    for _ in range(ROUNDS):
+        there, here = (residuals_at(problem, found.raw) for problem in (fine, coarse))
+        if there is None or here is None:
+            return None
+        before, found = found.raw, fit(corrected(coarse, there - here), start=found.raw)
+        if not found.settled:
+            return None
+        error = np.sqrt(np.diag(uncertainty(found).covariance))
+        if np.all(np.abs(found.raw - before) <= STILL * np.where(np.isfinite(error), error, np.inf)):
+            return found
+    return None

@@ -1,0 +1,59 @@
+"""Long benchmarks: parts are kept, taken up again, and told together."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from benchmarks._parts import read, run_parts
+from benchmarks._record import Figure, at_most
+
+
+def first(quick: bool) -> Iterator[Figure]:
+    yield at_most("time", 1.0 if quick else 2.0, "s", 1.5)
+
+
+def second(quick: bool) -> Iterator[Figure]:
+    yield Figure("never seen", math.nan, "mm", "<= 1", False, "the mesh")
+
+
+def broken(quick: bool) -> Iterator[Figure]:
+    raise RuntimeError("the solver gave up")
+
+
+def run(folder: Path, parts: dict, *arguments: str) -> tuple[list[str], str]:
+    """The parts kept in the file, in order, and the page."""
+    page = folder / "page.md"
+    run_parts(
+        parts, None, (page, lambda figures: " ".join(one.figure for one in figures)), ["--json", str(folder / "kept.json"), *arguments]
+    )
+    return [entry["part"] for entry in json.loads((folder / "kept.json").read_text())], page.read_text() if page.exists() else ""
+
+
+def test_all_parts_make_a_page(tmp_path: Path) -> None:
+    assert run(tmp_path, {"first": first, "second": second}, "--write") == (["first", "second"], "time never seen")
+    entry = json.loads((tmp_path / "kept.json").read_text())[1]
+    assert entry["value"] is None and math.isnan(read(entry).value) and read(entry).note == "the mesh"
+
+
+def test_a_part_is_taken_up_again_and_the_page_waits_for_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parts = {"first": first, "second": second}
+    assert run(tmp_path, parts, "--part", "second", "--write") == (["second"], "")
+    assert "no figures of first; the page is not written" in capsys.readouterr().out
+    assert run(tmp_path, parts, "--part", "first", "--write") == (["first", "second"], "time never seen")
+
+
+def test_quick_figures_are_not_mixed_with_others(tmp_path: Path) -> None:
+    parts = {"first": first, "second": second}
+    run(tmp_path, parts, "--quick")
+    assert run(tmp_path, parts, "--part", "first") == (["first"], "")
+
+
+def test_what_was_found_before_a_part_broke_off_is_kept(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="gave up"):
+        run(tmp_path, {"first": first, "second": broken})
+    assert [entry["part"] for entry in json.loads((tmp_path / "kept.json").read_text())] == ["first"]
