@@ -17,6 +17,7 @@ from ..effects import Effect
 from ..effects.added import Effects
 from ..effects.effect import Column as Way
 from ..errors import InputError
+from ..fem.cholesky import Indefinite
 from ..fem.solver import AbstractSolver, solver_for
 from ..fem.tissue import AbstractTissue, Linear
 from ..forward.inner import Force, between, inner_slopes, model_body, of_law
@@ -198,7 +199,10 @@ class FingerSubject(AbstractSubject):
             return None
         values = self._values(raw, amounts)
         moved = [f"{self._ways[key].family}.{self._ways[key].name}" for key in keys]
-        solved = model.model.solved(values, moving=(*(one.name for one in self.parameters), *moved))
+        try:
+            solved = model.model.solved(values, moving=(*(one.name for one in self.parameters), *moved))
+        except Indefinite:  # a support that gives too much holds nothing
+            return None
         others = {name: value for name, value in values.items() if name not in {one.name for one in self.parameters}}
         ways = _ways(len(raw), others, moved)
         value, slopes, sound = _sensitive(solved, self.parameters, jnp.asarray(raw), others, ways)
@@ -219,7 +223,10 @@ class FingerSubject(AbstractSubject):
 
     def _elastic(self, model: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
         values = self._values(raw, amounts)
-        prediction = _predicted(model.model.solved(values), values)
+        try:
+            prediction = _predicted(model.model.solved(values), values)
+        except Indefinite:
+            return None
         value = np.concatenate([np.asarray(each) for each in prediction.readings])
         return value if bool(prediction.health.converged) and np.isfinite(value).all() else None
 
