@@ -60,7 +60,7 @@ def test_a_quiet_instrument_is_no_longer_drowned_by_a_loud_one() -> None:
 def test_stated_noise_is_left_alone() -> None:
     found, sizes = with_own_noise(fit(two(0.5, 0.02, source="stated")))
     assert set(sizes) == {"loud"} and sizes["loud"] == pytest.approx(0.5, rel=0.4)
-    assert np.abs(found.rows("quiet")).max() < 0.1
+    assert np.abs(found.rows("quiet")).max() < 0.2  # of what was stated: noise of its own would make it 1
     nothing, none = with_own_noise(fit(dataclasses.replace(two(0.5, 0.02), sigma_source={"loud": "stated", "quiet": "replicates"})))
     assert none == {} and nothing.settled
 

@@ -57,7 +57,7 @@ def test_what_cannot_be_sampled_is_refused_in_words() -> None:
 
 def test_a_place_beyond_the_limits_is_never_taken() -> None:
     y = 2.0 + 0.1 * np.cos(np.arange(9))
-    found = fit(problem(lambda b: b[0] * np.ones(9), y, [Parameter("level", 1.0, "1", "identity", 1.97, math.inf)], 0.1))
+    found = fit(problem(lambda b: b[0] * np.ones(9), y, [Parameter("level", 2.1, "1", "identity", 1.97, math.inf)], 0.1))
     drawn = sample(found, steps=300)
     assert found.settled and drawn.raw.min() >= 1.97
 

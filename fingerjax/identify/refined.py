@@ -63,7 +63,7 @@ class Refined:
         """
         last = self.shifts[-1]
         if len(self.shifts) > 1:
-            fell = float(np.linalg.norm(last) / max(np.linalg.norm(self.shifts[-2]), 1e-300))
+            fell = float(np.linalg.norm(last)) / max(float(np.linalg.norm(self.shifts[-2])), 1e-300)
             last = last * (fell / (1 - fell) if fell < 0.5 else 1.0)
         return np.outer(last, last)
 
