@@ -26,5 +26,7 @@ class PoroelasticDrift(Effect):
     def read(self, reading: Reading, amount: Amount) -> Reading:
         if not reading.is_force or "time" not in reading.context.table:
             return reading
-        root = jnp.sqrt(reading.context.since_start() / amount["time"])
+        since = reading.context.since_start()
+        begun = since > 0  # a root has no slope at zero
+        root = jnp.where(begun, jnp.sqrt(jnp.where(begun, since, 1.0) / amount["time"]), 0.0)
         return dataclasses.replace(reading, value=reading.value * (1 - amount["share"] * root / (1 + root)))
