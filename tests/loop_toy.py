@@ -104,7 +104,7 @@ FAMILIES: tuple[Family, ...] = (
             (_one("contact_offset", "offset", "mm", 0.05), "contact"),
             (_one("apparatus_compliance", "compliance", "mm/N", 0.05, 1), "contact"),
             (_one("indenter_shift", "shift", "mm", 0.2), "contact"),
-            (_one("indenter_tilt", "tilt", "rad", 0.1, step=0.1), "contact"),
+            (_one("indenter_tilt", "tilt", "rad", 0.2, step=0.2), "contact"),
             (_one("tip_radius", "change", "mm", 0.2), "contact"),
             (_one("friction", "coefficient", "1", 0.05, 1), "contact"),
             (_one("adhesion", "pressure", "MPa", 0.01, 1), "contact"),

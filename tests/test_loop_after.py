@@ -166,10 +166,14 @@ def test_an_odd_residual_is_seen_to_be_odd_and_a_wave_to_be_a_wave() -> None:
     assert wave["wavelength"] == pytest.approx(2.0, rel=0.15) and wave["share"] > 0.5
 
 
+def _machine(toy: Toy, base: Look) -> Machine:
+    return Machine(base, toy.families, toy.columns(base.best.raw), estimate(toy.rows).plausible(), np.zeros((len(toy.rows), len(toy.rows))))
+
+
 def test_false_alarms_come_as_often_as_stated() -> None:
     toy = Toy(seed=5)
     base = seen(toy)
-    machine = Machine(base, toy.families, toy.columns(base.best.raw), np.zeros((len(toy.rows), len(toy.rows))))
+    machine = _machine(toy, base)
     found = false_alarms(machine, seed=0, sets=200)
     low, high = stats.binom.ppf([0.001, 0.999], 200, 0.05) / 200
     assert low <= found.rejected <= high
@@ -182,7 +186,7 @@ def test_false_alarms_come_as_often_as_stated() -> None:
 def test_planted_effects_are_missed_where_they_are_too_small() -> None:
     toy = Toy(seed=5)
     base = seen(toy)
-    machine = Machine(base, toy.families, toy.columns(base.best.raw), np.zeros((len(toy.rows), len(toy.rows))))
+    machine = _machine(toy, base)
     ranking, _ = machine.look(np.random.default_rng(0), np.zeros(len(toy.rows)))
     assert ranking.largest < base.critical.value
 

@@ -44,11 +44,12 @@ def test_plain_noise_has_its_size_and_nothing_in_common() -> None:
 
 def test_gains_and_zeros_of_traces_are_found_and_a_session_is_told_from_a_trace() -> None:
     alone = np.mean([np.diag(traces(seed, gain=0.05, zero=0.2)[0].trace) for seed in range(20)], axis=0)
-    # Student's widening for 15 degrees of freedom.
-    assert np.sqrt(alone) == pytest.approx([0.05 * 1.087, 0.2 * 1.087], rel=0.2)
+    assert np.sqrt(alone) == pytest.approx([0.05, 0.2], rel=0.15)
+    # Student's interval for 15 degrees of freedom over the normal one, squared.
+    assert traces(0)[0].widening[1] == pytest.approx((2.131 / 1.960) ** 2, rel=1e-3)
     together = [traces(seed, session=0.05)[0] for seed in range(40)]
     assert np.mean([one.trial[0, 0] for one in together]) > 20 * np.mean([one.trace[0, 0] for one in together])
-    assert np.mean([one.trial[0, 0] for one in together]) == pytest.approx((0.05 * 3.18 / 1.96) ** 2, rel=0.4)
+    assert np.mean([one.trial[0, 0] for one in together]) == pytest.approx(0.05**2, rel=0.4)
 
 
 def test_an_outlier_is_weighed_down_and_does_not_inflate_the_noise() -> None:

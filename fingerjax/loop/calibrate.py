@@ -39,18 +39,20 @@ class FalseAlarms:
 class Machine:
     """Makes data at a base fit and looks at them.
 
-    - `left` (rows, rows): what the mesh may leave, which is part of the made-up noise. `columns`: of the subject, at the base.
+    - `noise` (rows, rows): the covariance by which data are made up. `left` (rows, rows): what the mesh may leave, which is added to it.
+    - `columns`: of the subject, at the base.
     """
 
     base: Look
     families: tuple[Family, ...]
     columns: Mapping[str, Float[np.ndarray, "rows"]]
+    noise: Float[np.ndarray, "rows rows"]
     left: Float[np.ndarray, "rows rows"]
 
     def look(self, random: np.random.Generator, extra: Float[np.ndarray, "rows"] | None = None) -> tuple[Ranking, Adequacy]:
         """One made-up set, with `extra` added to what the model says."""
         best = self.base.best
-        drawn = Whitener.of(best.sample.covariance).back(random.standard_normal(len(best.sample.measured)))
+        drawn = Whitener.of(self.noise + self.left).back(random.standard_normal(len(best.sample.measured)))
         error = drawn if extra is None else drawn + extra
         again = self._again(error, random)
         ranking = rank(again, self.families, self.columns)

@@ -77,7 +77,7 @@ def investigate(
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)
     tell(0.8, "what to measure next")
     after = next_experiments(best, _rivals(base, verdict, singles), columns) if best.settled else []
-    alarms, grown = _checked(base, families, columns, mesh, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))
+    alarms, grown = _checked(base, families, columns, noise, mesh, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))
     return Findings(
         subject, families, roles, noise, mesh, base, columns, [*singles, *pairs], verdict, after, alarms, grown, seed,
         time.perf_counter() - started,
@@ -135,12 +135,13 @@ def _checked(
     base: Look,
     families: tuple[Family, ...],
     columns: Mapping[str, np.ndarray],
+    noise: Noise,
     mesh: MeshGuard,
     sets: int,
     seed: int,
     tell: Tell,
 ) -> tuple[FalseAlarms, list[Planted]]:
-    machine = Machine(base, families, columns, mesh.left)
+    machine = Machine(base, families, columns, noise.plausible(), mesh.left)
     if not sets:
         return false_alarms(machine, seed=seed, sets=0), []
     return false_alarms(machine, seed=seed, sets=sets, tell=tell), planted(machine, seed=seed)

@@ -30,7 +30,8 @@ class Noise:
     """The noise of all rows.
 
     - `sigma`, `weights` (rows,): standard deviation of a row, and how much it counts.
-    - `shared` (rows, rows): covariance that rows of one trial or one instrument have in common.
+    - `shared` (rows, rows): covariance that rows of one trial or one instrument have in common, as wide as few trials demand;
+      `likely` (rows, rows): the same as it is most likely, for making data up.
     - `correlation` (rows, rows): of what is left, 1 on the diagonal; None where it is the identity.
     - `source`: block -> `replicates`, `stated` or `assumed`; `repeats`: block -> the typical number of them.
     - `freedom`: block -> degrees of freedom of its pure error, inf where its noise is stated without saying from how many.
@@ -40,6 +41,7 @@ class Noise:
     sigma: Float[np.ndarray, "rows"]
     weights: Float[np.ndarray, "rows"]
     shared: Float[np.ndarray, "rows rows"]
+    likely: Float[np.ndarray, "rows rows"]
     correlation: Float[np.ndarray, "rows rows"] | None
     source: Mapping[str, str]
     repeats: Mapping[str, float]
@@ -48,9 +50,14 @@ class Noise:
 
     def covariance(self) -> Float[np.ndarray, "rows rows"]:
         """Sigma without what the mesh leaves."""
-        size = self.sigma / np.sqrt(self.weights)
-        own = np.diag(size**2) if self.correlation is None else np.outer(size, size) * self.correlation
-        return own + self.shared
+        return self._own(self.sigma / np.sqrt(self.weights)) + self.shared
+
+    def plausible(self) -> Float[np.ndarray, "rows rows"]:
+        """The covariance by which data like these are made up: no outliers, and what trials share at its likeliest."""
+        return self._own(self.sigma) + self.likely
+
+    def _own(self, size: np.ndarray) -> np.ndarray:
+        return np.diag(size**2) if self.correlation is None else np.outer(size, size) * self.correlation
 
     @property
     def worst(self) -> str:
@@ -99,7 +106,7 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
     """The noise of all rows, block by block; `measured` stands in for the rows' own where data are made up."""
     y = rows.measured if measured is None else measured
     n = len(rows)
-    sigma, weights, shared = np.ones(n), np.ones(n), np.zeros((n, n))
+    sigma, weights, shared, likely = np.ones(n), np.ones(n), np.zeros((n, n)), np.zeros((n, n))
     correlation, correlated = np.eye(n), False
     source, repeats, terms, freedom = {}, {}, {}, dict.fromkeys(rows.blocks, math.inf)
     condition, trial = (np.unique(values, return_inverse=True)[1].reshape(-1) for values in (rows.condition, rows.trial))
@@ -109,7 +116,8 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
         repeats[name] = float(np.median(np.bincount(np.unique(rows.setting[where], return_inverse=True)[1].reshape(-1))))
         if found is not None and (found.dof >= LEAST_DOF or stated is None):
             source[name], sigma[where], weights[where] = REPLICATES, found.sigma, found.weights
-            shared[where, where] += _in_common(found, condition[where], trial[where])
+            shared[where, where] += _in_common(found, condition[where], trial[where], found.widening)
+            likely[where, where] += _in_common(found, condition[where], trial[where], (1.0, 1.0))
             terms[name] = _said(found)
             freedom[name] = found.dof
             if found.neighbours > 0:
@@ -125,7 +133,8 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
             sigma[where] = GUESS * max(float(np.sqrt(np.mean(y[where] ** 2))), 1e-300)
     for added in rows.calibration.values():
         shared += np.outer(added, added)
-    return Noise(sigma, weights, shared, correlation if correlated else None, source, repeats, freedom, terms)
+        likely += np.outer(added, added)
+    return Noise(sigma, weights, shared, likely, correlation if correlated else None, source, repeats, freedom, terms)
 
 
 def _of_block(
@@ -136,11 +145,12 @@ def _of_block(
     return from_repeats(y[where], setting, condition, trial, rows.along(name), _POWER.get(kind, 2.0), kind in _POWER)
 
 
-def _in_common(found: Repeats, condition: np.ndarray, trial: np.ndarray) -> np.ndarray:
+def _in_common(found: Repeats, condition: np.ndarray, trial: np.ndarray, widening: tuple[float, float]) -> np.ndarray:
     """(members, members): covariance by the gains and zeros of trials and of traces."""
+    trials, traces = widening[0] * found.trial, widening[1] * found.trace
     basis = np.stack([found.centre, np.ones_like(found.centre)], axis=1)
     together = trial[:, None] == trial
-    return together * (basis @ found.trial @ basis.T) + (together & (condition[:, None] == condition)) * (basis @ found.trace @ basis.T)
+    return together * (basis @ trials @ basis.T) + (together & (condition[:, None] == condition)) * (basis @ traces @ basis.T)
 
 
 def _along(neighbours: float, along: np.ndarray, condition: np.ndarray, trial: np.ndarray) -> np.ndarray:

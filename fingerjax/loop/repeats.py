@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from scipy import optimize, stats
 
 TURN = 3.0  # standard deviations from which on a row counts less, by the square of what it is beyond
+CLEAR = 3.0  # standard errors from which on neighbours count as correlated
 ROUNDS = 6  # of weights, traces and sizes in turn
 SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be told from noise
 FLAT = 0.1  # of a trace: smaller over larger singular value of (gain, zero), where its values differ by less than a fifth
@@ -32,7 +33,8 @@ class Repeats:
 
     - `sigma` (rows,): standard deviation of a single row; `weights` (rows,): 1, less for rows that stand out.
     - `centre` (rows,): the weighted mean of the setting.
-    - `trial`, `trace` (2, 2): covariance of (gain, zero) that a trial has in all its conditions, and that each trace has of its own.
+    - `trial`, `trace` (2, 2): covariance of (gain, zero) that a trial has in all its conditions, and that each trace has of its own;
+      `widening`: of both, as Student's interval is wider, because few trials tell their own variance badly.
     - `neighbours`: correlation of neighbouring rows of a trace. `dof`: degrees of freedom behind `sigma`.
     """
 
@@ -41,6 +43,7 @@ class Repeats:
     centre: Float[np.ndarray, "rows"]
     trial: Float[np.ndarray, "2 2"]
     trace: Float[np.ndarray, "2 2"]
+    widening: tuple[float, float]
     neighbours: float
     dof: float
 
@@ -70,9 +73,9 @@ def from_repeats(
     split = block.first()
     for _ in range(ROUNDS):
         split = block.again(split)
-    shared, own = block.levels(split)
+    shared, own, widening = block.levels(split)
     near = _neighbours(np.where(count > 1, split.left / split.sigma, 0.0), traces, along, len(split.pairs))
-    return Repeats(split.sigma, split.weights, split.centre, shared, own, near, split.dof)
+    return Repeats(split.sigma, split.weights, split.centre, shared, own, widening, near, split.dof)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,13 +166,10 @@ class _Block:
         rows = (self.traces == trace) & (self.count > 1)
         return _inverse(centre[rows], np.ones(int(rows.sum())))[1]
 
-    def levels(self, split: _Split) -> tuple[np.ndarray, np.ndarray]:
-        """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest.
-
-        Each is widened as Student's interval is, because few trials tell their own variance badly.
-        """
+    def levels(self, split: _Split) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+        """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest; their widening."""
         if not split.pairs:
-            return np.zeros((2, 2)), np.zeros((2, 2))
+            return np.zeros((2, 2)), np.zeros((2, 2)), (1.0, 1.0)
         where = {one: tuple(int(code[self.traces == one][0]) for code in (self.condition, self.trial)) for one in split.pairs}
         metric, noise, whole = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
         for one, pair in split.pairs.items():
@@ -185,7 +185,7 @@ class _Block:
         shared = _positive(shared, root)
         own = _positive(whole - noise - shared, root)
         conditions = len({one[0] for one in where.values()})
-        return shared * _widening(trials - 1), own * _widening(len(where) - conditions)
+        return shared, own, (_widening(trials - 1), _widening(len(where) - conditions))
 
 
 def _law(
@@ -248,4 +248,4 @@ def _neighbours(left: np.ndarray, traces: np.ndarray, along: np.ndarray, fitted:
     if pairs < 20 or squares == 0.0:
         return 0.0
     share = products / squares * len(left) / pairs + (2.0 * fitted / len(left))
-    return float(np.clip(share, 0.0, 0.95)) if share > 2.0 / math.sqrt(pairs) else 0.0
+    return float(np.clip(share, 0.0, 0.95)) if share > CLEAR / math.sqrt(pairs) else 0.0
