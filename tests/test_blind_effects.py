@@ -159,6 +159,16 @@ def test_friction_must_be_pressed_in_order(rough):
     rough.press(PLATE, SITE, 0.2)
     with pytest.raises(ValueError, match="in order"):
         rough.press(PLATE, SITE, 0.1)
+    rough.rest()
+    assert rough.press(PLATE, SITE, 0.1).force > 0.0
+
+
+@pytest.mark.parametrize("rig", [Rig(friction=0.5), Rig(sticky=(4e-4, 0.05)), Rig(late=0.05, frame=0.8)], ids=["rough", "sticky", "loose"])
+def test_a_finger_goes_through_all_recordings_of_a_laboratory(rig):
+    seen = protocol.elastic(FLESH, rig, protocol.THIN_PAD)
+    assert set(seen.curves) == {"plate_force", "sphere_force", "plate_hold"} and seen.lines["wedge_profile"].shape[0] == 4
+    for travel, force_ in seen.curves.values():
+        assert np.all(np.diff(travel) > 0) and np.all(np.diff(force_) > 0)
 
 
 def test_adhesion_pulls_and_vanishes_with_its_strength(plain):

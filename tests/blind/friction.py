@@ -33,6 +33,10 @@ class Rubbing(Plain):
         self.compliance, self.readings = _sideways(self.body, factor, receptors)
         self._last: dict[tuple[Indenter, float], tuple[float, Array]] = {}
 
+    def rest(self) -> None:
+        """The indenter is lifted: what slid comes back."""
+        self._last = {}
+
     def press(self, indenter: Indenter, at: float, travel: float) -> Felt:
         depth, forces = self._last.get((indenter, at), (0.0, np.zeros((3, len(self.body.pad)))))
         if travel < depth:

@@ -39,6 +39,8 @@ class Pressing(Protocol):
 
     body: Body
 
+    def rest(self) -> None: ...
+
     def press(self, indenter: Indenter, at: float, travel: float) -> Felt: ...
 
 
@@ -95,6 +97,9 @@ class Plain:
         if key not in self._plans:
             self._plans[key] = Plan.of(self.body, indenter, at)
         return self._plans[key]
+
+    def rest(self) -> None:
+        """Let go of the finger, as between two recordings; only friction remembers what was before."""
 
     def press(self, indenter: Indenter, at: float, travel: float) -> Felt:
         return read(self.body, held(self.body, self.plan(indenter, at), travel))

@@ -178,6 +178,7 @@ def elastic(flesh: Flesh, rig: Rig, records: tuple[Record, ...]) -> Elastic:
     site, body = flesh.finger.site, finger.body
     found = Elastic({}, body.mesh.nodes[body.watched, 2] - site, {}, {})
     for record in records:
+        finger.rest()
         if isinstance(record, Profiles):
             found.lines[record.name] = np.stack([felt(rig, finger, record.indenter, site, d).deflection for d in record.depths])
         elif isinstance(record, Trace):

@@ -170,7 +170,7 @@ EFFECTS: dict[str, tuple[str, Alteration]] = {
     "profile_tilt": ("human", _camera(made.turned(0.5))),
     "rate_saturation": ("monkey", _nerve(made.saturating(90.0))),
     "rate_power_law": ("monkey", _nerve(made.bending(0.7))),
-    "spontaneous_rate": ("monkey", _nerve(made.humming(5.0))),
+    "spontaneous_rate": ("monkey", _nerve(made.humming(10.0))),
     "rate_adaptation": ("monkey", _nerve(made.tiring(0.12))),
     "receptive_field_pooling": ("monkey", _instruments(sites=_POOL)),
     "receptor_depth": ("monkey", _instruments(sites=((_SHALLOWER, 1.0),))),
