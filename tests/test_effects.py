@@ -129,7 +129,8 @@ def test_softer_supports_and_stiffer_films_do_what_their_names_say(ready: Assemb
 
     held = float(read(ready)[rows][-1])
     assert force("nail_compliance", compliance=100.0) < force("nail_compliance", compliance=20.0) < held
-    assert force("nail_compliance", compliance=1e-4) == pytest.approx(held, rel=0.02)  # nodes of the rim, on no whole facet of the nail, are free
+    # Nodes of the rim, on no whole facet of the nail, are free.
+    assert force("nail_compliance", compliance=1e-4) == pytest.approx(held, rel=0.02)
     assert force("bed_compliance", stiffness=0.02) > held
     assert force("stratum_corneum", membrane_stiffness=0.1) > held
     assert force("skin_pretension", tension=0.01) > held
