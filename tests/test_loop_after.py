@@ -124,7 +124,8 @@ class _Proposing(Toy):
     def proposals(self, raw: np.ndarray) -> tuple[Proposal, ...]:
         keys = [column.key for family in self.families for column in (*family.columns, *family.second)]
         nothing = {key: np.zeros(3) for key in keys}
-        telling = nothing | {"contact_offset.offset": np.array([3000.0, -3000.0, 500.0])}
+        scale = next(key for key in keys if key.startswith("camera_scale."))
+        telling = nothing | {"contact_offset.offset": np.array([3000.0, -3000.0, 500.0]), scale: np.array([2000.0, 2000.0, -1000.0])}
         return tuple(Proposal(name, np.zeros((3, 5)), columns, np.ones(3)) for name, columns in (("idle", nothing), ("telling", telling)))
 
 
