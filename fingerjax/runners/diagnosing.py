@@ -10,6 +10,7 @@ from ..effects import catalogue, chosen
 from ..errors import InputError
 from ..forward import assemble
 from ..forward.shape import Tell, unheard
+from ..loop.calibrate import SETS
 from ..loop.diagnosis import diagnose
 from ..loop.record import Diagnosis
 from ..loop.refit import forget
@@ -28,12 +29,13 @@ def diagnose_study(
     seed: int = 0,
     effects: str | tuple[str, ...] = "all",
     folder: Path | str | None = None,
+    sets: int = SETS,
     tell: Tell = unheard,
     kept: Callable[[str, Callable[[], dict[str, Any]]], dict[str, Any]] = forget,
 ) -> Diagnosis:
     """What a study's model lacks.
 
-    **Arguments:** `effects`: `all`, `none` or names; `folder`: of effects of one's own; `kept`: see `loop.diagnosis`.
+    **Arguments:** `effects`: `all`, `none` or names; `folder`: of effects of one's own; `sets`, `kept`: see `loop.diagnosis`.
 
     **Raises** `InputError` where the study has nothing to fit, or an effect is asked for that is not there.
     """
@@ -42,7 +44,7 @@ def diagnose_study(
         raise InputError("a study without a fit leaves no residual to trace", file=study.file, place=study.name, remedy=remedy)
     subject = subject_of(study, effects, folder, solver=solver, tell=lambda share, what: tell(0.2 * share, what))
     subject.tell = lambda share, what: tell(0.3 + 0.2 * share, what)
-    return diagnose(subject, seed=seed, tell=lambda share, what: tell(0.2 + 0.8 * share, what), kept=kept)
+    return diagnose(subject, seed=seed, sets=sets, tell=lambda share, what: tell(0.2 + 0.8 * share, what), kept=kept)
 
 
 def subject_of(
