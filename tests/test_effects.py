@@ -110,6 +110,7 @@ def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubj
         Grade(1e-4, 1e-7, "contacts are decided anew on both sides").check(found.phi_jacobian @ way, (ends[0] - ends[1]) / 2e-5)
 
 
+@pytest.mark.slow
 def test_columns_are_there_for_every_effect_and_small_ones_follow_them(subject: FingerSubject) -> None:
     raw = start(subject)
     columns, base = subject.columns(raw), subject.evaluate(raw, {}, ()).prediction
