@@ -102,6 +102,7 @@ def law(phi: jnp.ndarray) -> AbstractTissue:
     return Exponential(FiniteStrain(phi[0]), jnp.zeros(5).at[:2].set(phi[1:]))
 
 
+@pytest.mark.slow
 @needs_direct
 def test_the_tangent_at_null_is_that_of_strained_readings(everything: Assembled) -> None:
     null, h = jnp.zeros(3), 2e-4
@@ -120,6 +121,7 @@ def of(vector: jnp.ndarray) -> tuple[dict, AbstractTissue]:
     return values, law(jnp.stack([vector[3], vector[4], vector[4]]))
 
 
+@pytest.mark.slow
 @needs_direct
 def test_slopes_at_strained_states_match_differences(everything: Assembled) -> None:
     here = jnp.asarray([np.log(0.14), np.log(0.012), 2e-5, 0.9, 5.0])

@@ -29,7 +29,7 @@ class Springs(eqx.Module):
 
     def force(self, values: Float[Array, " m"], u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
         """Nodal forces, N, of a displacement, mm."""
-        return jnp.zeros(u.size).at[self.row].add(values * u.reshape(-1)[self.column]).reshape(u.shape)
+        return jnp.zeros_like(u).reshape(-1).at[self.row].add(values * u.reshape(-1)[self.column]).reshape(u.shape)
 
     def __add__(self, other: Springs) -> Springs:
         return jax.tree.map(lambda one, more: jnp.concatenate([one, more]), self, other)
