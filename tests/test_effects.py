@@ -213,7 +213,8 @@ def test_relaxation_of_a_ramp_and_hold_is_its_convolution() -> None:
     force = np.minimum(time / 0.4, 1.0) * 2.0
     said = Reading(jnp.asarray(force), jnp.asarray(force), jnp.asarray(force), context(time, force))
     share, tau = 0.4, 0.7
-    found = relaxation.read(said, {name: jnp.asarray(value) for name, value in (relaxation.null() | {"share": share, "time": tau}).items()}).value
+    amount = relaxation.null() | {"share": share, "time": tau}
+    found = relaxation.read(said, {name: jnp.asarray(value) for name, value in amount.items()}).value
 
     def exact(t: float) -> float:
         s = np.linspace(0.0, min(t, 0.4), 20001)

@@ -86,6 +86,7 @@ def test_every_case_rests_where_newton_finds_it_to(everything: Assembled, strain
         SAME_STATE.check(rest.contact.travel, newton.state.travel)
 
 
+@pytest.mark.slow
 @needs_direct
 def test_a_warm_start_saves_iterations_and_changes_nothing(everything: Assembled, strained: Strained) -> None:
     again = strained_readings(everything.model, at(), STIFFENING, start=strained)
