@@ -43,7 +43,7 @@ def rate(
 ) -> Float[Array, "..."]:
     """scale * max(quantity - threshold, 0), in Hz; scale and threshold may differ from row to row."""
     above = jnp.asarray(quantity) - threshold
-    return jnp.asarray(scale) * jnp.where(above >= 0.0, above, 0.0)
+    return jnp.asarray(scale) * jnp.where(above < 0.0, 0.0, above)
 
 
 def start(
