@@ -46,7 +46,7 @@ def test_gains_and_zeros_of_traces_are_found_and_a_session_is_told_from_a_trace(
     alone = np.mean([np.diag(traces(seed, gain=0.05, zero=0.2)[0].trace) for seed in range(20)], axis=0)
     assert np.sqrt(alone) == pytest.approx([0.05, 0.2], rel=0.15)
     # Student's interval for 15 degrees of freedom over the normal one, squared.
-    assert traces(0)[0].widening[1] == pytest.approx((2.131 / 1.960) ** 2, rel=1e-3)
+    assert traces(0)[0].widening[1] == pytest.approx((2.947 / 2.576) ** 2, rel=1e-3)
     together = [traces(seed, session=0.05)[0] for seed in range(40)]
     assert np.mean([one.trial[0, 0] for one in together]) > 20 * np.mean([one.trace[0, 0] for one in together])
     assert np.mean([one.trial[0, 0] for one in together]) == pytest.approx(0.05**2, rel=0.4)
