@@ -124,7 +124,7 @@ class _Proposing(Toy):
     def proposals(self, raw: np.ndarray) -> tuple[Proposal, ...]:
         keys = [column.key for family in self.families for column in (*family.columns, *family.second)]
         nothing = {key: np.zeros(3) for key in keys}
-        telling = nothing | {"contact_offset.offset": np.array([3000.0, -3000.0, 500.0])}
+        telling = nothing | {"contact_offset.offset": np.array([3e3, -3e3, 0.0]), "camera_scale.scale": np.array([3e3, 3e3, 0.0])}
         return tuple(Proposal(name, np.zeros((3, 5)), columns, np.ones(3)) for name, columns in (("idle", nothing), ("telling", telling)))
 
 
@@ -133,7 +133,7 @@ def test_the_next_experiment_is_the_one_that_tells_rivals_apart() -> None:
     best = based(toy)
     rivals = [
         Rival(next(one for one in toy.families if one.name == name).columns[0], size)
-        for name, size in (("contact_offset", 0.03), ("camera_scale", 0.0185))
+        for name, size in (("contact_offset", 0.01), ("camera_scale", 0.01))
     ]
     columns = toy.columns(best.raw)
     found = next_experiments(best, rivals, columns)
