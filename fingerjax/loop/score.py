@@ -212,8 +212,8 @@ def imitation(parameters: tuple[Parameter, ...], shift: Float[np.ndarray, "p"], 
 def combined(
     best: Optimum, first: Sequence[Column], second: Sequence[Column], columns: Mapping[str, Float[np.ndarray, "rows"]]
 ) -> tuple[Node, ...]:
-    """Two terms of one effect at once, each at its own node of the grid, the earlier node first: all pairs, best first, that the signs allow
-    before others.
+    """Two terms of one effect at once, each at its own node of the grid, the earlier node first: all pairs, best first, those
+    that the signs allow before others.
     """
     work = _Work.of(best, [*first, *second], columns)
     pairs = {
