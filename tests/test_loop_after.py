@@ -134,7 +134,7 @@ def test_the_next_experiment_is_the_one_that_tells_rivals_apart() -> None:
     best = based(toy)
     rivals = [
         Rival(next(one for one in toy.families if one.name == name).columns[0], size)
-        for name, size in (("contact_offset", 0.002), ("camera_scale", 0.002))
+        for name, size in (("contact_offset", 0.01), ("camera_scale", 0.01))
     ]
     columns = toy.columns(best.raw)
     found = next_experiments(best, rivals, columns)

@@ -15,9 +15,7 @@ from fingerjax.loop.whitening import Whitener
 CONDITIONS, SETTINGS, TRIALS = 5, 20, 4
 
 
-def traces(
-    seed: int, *, sigma: float = 0.1, gain: float = 0.0, zero: float = 0.0, session: float = 0.0, wild: float = 0.0, near: float = 0.0
-):
+def traces(seed: int, *, sigma: float = 0.1, gain: float = 0.0, zero: float = 0.0, day: float = 0.0, wild: float = 0.0, near: float = 0.0):
     """`from_repeats` of made-up traces, and the exact values."""
     random = np.random.default_rng(seed)
     condition, trial, place = (one.ravel() for one in np.meshgrid(range(CONDITIONS), range(TRIALS), range(SETTINGS), indexing="ij"))
@@ -25,7 +23,7 @@ def traces(
     noise = random.standard_normal((CONDITIONS, TRIALS, SETTINGS))
     for k in range(1, SETTINGS):
         noise[:, :, k] = near * noise[:, :, k - 1] + math.sqrt(1 - near**2) * noise[:, :, k]
-    gains = session * random.standard_normal(TRIALS)[trial] + (gain * random.standard_normal((CONDITIONS, TRIALS)))[condition, trial]
+    gains = day * random.standard_normal(TRIALS)[trial] + (gain * random.standard_normal((CONDITIONS, TRIALS)))[condition, trial]
     y = exact * (1 + gains) + (zero * random.standard_normal((CONDITIONS, TRIALS)))[condition, trial] + sigma * noise.ravel()
     y += 8 * sigma * (random.random(len(y)) < wild) * random.choice([-1, 1], len(y))
     found = from_repeats(y, condition * SETTINGS + place, condition, trial, place.astype(float), 2.0, False)
@@ -42,13 +40,14 @@ def test_plain_noise_has_its_size_and_nothing_in_common() -> None:
     assert np.mean([one.neighbours > 0 for one in found]) < 0.2
 
 
-def test_gains_and_zeros_of_traces_are_found_and_a_session_is_told_from_a_trace() -> None:
-    alone = np.mean([np.diag(traces(seed, gain=0.05, zero=0.2)[0].trace) for seed in range(20)], axis=0)
-    assert np.sqrt(alone) == pytest.approx([0.05, 0.2], rel=0.15)
+def test_gains_and_zeros_of_traces_are_found_and_a_day_is_told_from_a_trace() -> None:
+    alone = [traces(seed, gain=0.05, zero=0.2)[0] for seed in range(20)]
+    assert np.sqrt(np.mean([np.diag(one.trial + one.trace) for one in alone], axis=0)) == pytest.approx([0.05, 0.2], rel=0.15)
+    assert np.mean([one.trace[1, 1] for one in alone]) > 3 * np.mean([one.trial[1, 1] for one in alone])
     # Student's interval for 15 degrees of freedom over the normal one, squared.
-    assert traces(0)[0].widening[1] == pytest.approx((2.131 / 1.960) ** 2, rel=1e-3)
-    together = [traces(seed, session=0.05)[0] for seed in range(40)]
-    assert np.mean([one.trial[0, 0] for one in together]) > 10 * np.mean([one.trace[0, 0] for one in together])
+    assert traces(0)[0].widening[1] == pytest.approx((2.947 / 2.576) ** 2, rel=1e-3)
+    together = [traces(seed, day=0.05)[0] for seed in range(40)]
+    assert np.mean([one.trial[0, 0] for one in together]) > 5 * np.mean([one.trace[0, 0] for one in together])
     assert np.mean([one.trial[0, 0] for one in together]) == pytest.approx(0.05**2, rel=0.4)
 
 

@@ -265,7 +265,7 @@ def _larger(column: Column) -> Column:
     return dataclasses.replace(column, scale=1e3 * column.scale, lower=1e3 * column.lower, upper=1e3 * column.upper, step=step)
 
 
-def test_too_few_data_are_said_to_be_too_few() -> None:
+def test_of_too_few_data_nothing_is_named() -> None:
     toy = Toy(truth={"contact_offset.offset": 0.06})
     keep = toy.rows.setting < 4
     kept = np.flatnonzero(keep)

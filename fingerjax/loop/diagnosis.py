@@ -21,7 +21,7 @@ from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
 from .explanations import Explanation, Inquiry
 from .findings import Findings
-from .meshguard import RHO, MeshGuard, correction, guard, leftover, unchecked
+from .meshguard import MeshGuard, correction, guard, leftover, share_left, unchecked
 from .noise import Noise, estimate, outliers
 from .record import Diagnosis, Planted
 from .refit import Keep, Optimum, forget, optimum
@@ -107,9 +107,10 @@ def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep
     offset = correction(best) if best.settled else None
     if offset is None:
         return noise, best, unchecked(len(subject.rows), len(start))
-    left = leftover(subject.rows, offset)
+    rho = share_left(subject.refinement)
+    left = leftover(subject.rows, offset, rho)
     best = optimum(sample.corrected(offset, left), (), best.raw, NONE, name="base on the finer mesh", kept=kept)
-    return noise, best, guard(best, offset, left, RHO)
+    return noise, best, guard(best, offset, left, rho)
 
 
 def _looked(

@@ -1,8 +1,9 @@
 """What the mesh adds to a residual: measured on one finer solve, taken out, and what may be left of it counted as noise.
 
-    D = f_(h/2) - f_h at the optimum,     f -> f + D,     Sigma_disc = rho^2 |D_i| |D_j| exp(-|x_i - x_j|^2 / 2)
+    D = f_(s h) - f_h at the optimum,     f -> f + D,     Sigma_disc = rho^2 |D_i| |D_j| exp(-|x_i - x_j|^2 / 2)
 
-with coordinates in thirds of their range, rows of two conditions of a block half as alike. Small effects are not to be named where
+with coordinates in thirds of their range, rows of two conditions of a block half as alike. An error that falls with the power p of the
+element size leaves rho = s^p / (1 - s^p) of D: a quarter where the finer mesh has half the size. Small effects are not to be named where
 what may be left could look like one:
 
     lambda = |Q L^-1 rho D|^2 <= 1   and   |J^+ L^-1 rho D| <= 0.2 standard deviations of every parameter
@@ -23,7 +24,9 @@ from .refit import Optimum
 from .subject import Rows
 from .whitening import Projection
 
-RHO = 0.25
+RHO = 0.25  # where the finer mesh has half the element size
+ORDER = math.log2((1 + RHO) / RHO)
+LEAST = 0.1  # of D may always be left
 LARGEST_LAMBDA, LARGEST_SHIFT = 1.0, 0.2
 REACH = 1.0 / 3.0  # length of the kernel, in ranges of a coordinate
 ELSEWHERE = 0.5  # correlation between conditions of one block
@@ -83,6 +86,11 @@ def correction(best: Optimum) -> Float[np.ndarray, "rows"] | None:
     if finer is None or not np.isfinite(finer).all():
         return None
     return np.asarray(finer, dtype=float) - best.at.prediction
+
+
+def share_left(refinement: float) -> float:
+    """rho, from the element size of the finer mesh over that of the mesh."""
+    return max(1.0 / (refinement**-ORDER - 1.0), LEAST)
 
 
 def leftover(rows: Rows, offset: Float[np.ndarray, "rows"], rho: float = RHO) -> Float[np.ndarray, "rows rows"]:

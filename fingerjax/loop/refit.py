@@ -2,8 +2,9 @@
 
     minimise |L^-1 (y - f(theta, phi) - D)|^2 + |theta priors|^2 + sum ((phi - null) / scale)^2     inside the bounds
 
-by the trust-region reflective method (Branch, Coleman & Li 1999), which refuses a step to where the model has no converged answer. What it
-returns is checked: an optimum is where no free direction promises more than a fiftieth of a standard error.
+by damped steps, and where those do not end soon by the trust-region reflective method (Branch, Coleman & Li 1999); both refuse a step to
+where the model has no converged answer. What they return is checked: an optimum is where no free direction promises more than a fiftieth of
+a standard error.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import least_squares
 
+from .descent import descend, movable
 from .sample import Sample
 from .subject import Column, Evaluation
 from .whitening import Projection
@@ -25,7 +27,6 @@ from .whitening import Projection
 LEVEL = 1e-6  # largest cosine between the residual and a free column at an optimum
 NEAR = 2e-2  # standard errors that may still be gained at an optimum
 EVALUATIONS = 60  # of one search
-STEPS, LONGEST = 20, 1.5  # damped steps; how far one may go, in raw parameters and in plausible sizes of effects
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
 AT_BOUND = 5e-3  # share of the plausible range from its end within which an effect is at its bound
@@ -187,7 +188,7 @@ def _search(points: _Points, start: np.ndarray) -> np.ndarray:
     start = np.clip(start, lower + room, upper - room)
     if not points.at(start).usable:
         return start
-    near = _damped(points, start)
+    near = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * NEAR)
     if near is not None:
         return _polished(points, near)
     found = least_squares(
@@ -197,36 +198,12 @@ def _search(points: _Points, start: np.ndarray) -> np.ndarray:
     return _polished(points, found.x)
 
 
-def _damped(points: _Points, x: np.ndarray) -> np.ndarray | None:
-    """Gauss-Newton steps inside the bounds, damped where they lead up (Levenberg 1944); None where they do not end soon.
-
-    A model that is nearly linear, as most are near their data, is at its optimum after a handful of them.
-    """
-    lower, upper = points.box()
-    residual, damping = points.residual(x), 0.0
-    for _ in range(STEPS):
-        jacobian = points.jacobian(x)
-        free = _free(x, jacobian.T @ residual, lower, upper)
-        if np.linalg.norm(Projection.of(jacobian[:, free]).basis.T @ residual) < 0.3 * NEAR:
-            return x
-        below = math.sqrt(damping) * np.diag(np.linalg.norm(jacobian, axis=0))
-        room = np.maximum(lower - x, -LONGEST) - 1e-12, np.minimum(upper - x, LONGEST) + 1e-12
-        step = lsq_linear(np.concatenate([jacobian, below]), np.concatenate([-residual, np.zeros(len(x))]), bounds=room).x
-        after = np.clip(x + step, lower, upper)
-        moved = points.residual(after)
-        if np.isfinite(moved).all() and moved @ moved <= residual @ residual:
-            x, residual, damping = after, moved, 0.1 * damping if damping > 1e-4 else 0.0
-        else:
-            damping = max(10 * damping, 1e-3)
-    return None
-
-
 def _polished(points: _Points, x: np.ndarray) -> np.ndarray:
     """Gauss-Newton steps in the free directions for as long as they lead down."""
     lower, upper = points.box()
     for _ in range(POLISH):
         residual, jacobian = points.residual(x), points.jacobian(x)
-        free = _free(x, jacobian.T @ residual, lower, upper)
+        free = movable(x, jacobian.T @ residual, lower, upper)
         projection = Projection.of(jacobian[:, free])
         if np.linalg.norm(projection.basis.T @ residual) < 0.3 * NEAR or _cosine(residual, jacobian[:, free]) < LEVEL:
             return x
@@ -238,12 +215,6 @@ def _polished(points: _Points, x: np.ndarray) -> np.ndarray:
             return x
         x = after
     return x
-
-
-def _free(x: np.ndarray, slope: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Not at a bound that the sum of squares falls towards."""
-    near = 1e-5 * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    return ~(((x <= lower + near) & (slope > 0)) | ((x >= upper - near) & (slope < 0)))
 
 
 def _cosine(residual: np.ndarray, jacobian: np.ndarray) -> float:
@@ -261,7 +232,7 @@ def _ended(points: _Points, x: np.ndarray) -> Optimum:
         reason = "the model has no converged answer at the start"
         return Optimum(points.sample, points.columns, raw, phi, at, nothing[:, 0], nothing, free, math.nan, False, reason)
     residual, jacobian = points.residual(x), points.jacobian(x)
-    free = _free(x, jacobian.T @ residual, *points.box())
+    free = movable(x, jacobian.T @ residual, *points.box())
     gradient = _cosine(residual, jacobian[:, free])
     left = float(np.linalg.norm(Projection.of(jacobian[:, free]).basis.T @ residual))
     settled = gradient < LEVEL or left < NEAR

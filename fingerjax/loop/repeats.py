@@ -20,6 +20,7 @@ CLEAR = 3.0  # standard errors from which on neighbours count as correlated
 ROUNDS = 6  # of weights, traces and sizes in turn
 SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be told from noise
 FLAT = 0.1  # of a trace: smaller over larger singular value of (gain, zero), where its values differ by less than a fifth
+SURE = 0.995  # quantile at which the variance that few trials tell is made wide enough
 CLEARLY = 10.0  # fall of the deviance at which a noise that grows with the value is believed where none is expected
 # Share of the normal variance that is left under these weights: x^2 within TURN, TURN^4 / x^2 beyond.
 _KEPT = float(
@@ -233,7 +234,7 @@ def _positive(matrix: np.ndarray, root: np.ndarray) -> np.ndarray:
 
 
 def _widening(dof: int) -> float:
-    return float((stats.t.ppf(0.975, max(dof, 1)) / stats.norm.ppf(0.975)) ** 2)
+    return float((stats.t.ppf(SURE, max(dof, 1)) / stats.norm.ppf(SURE)) ** 2)
 
 
 def _neighbours(left: np.ndarray, traces: np.ndarray, along: np.ndarray, fitted: int) -> float:

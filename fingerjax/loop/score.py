@@ -212,10 +212,17 @@ def imitation(parameters: tuple[Parameter, ...], shift: Float[np.ndarray, "p"], 
 def combined(
     best: Optimum, first: Sequence[Column], second: Sequence[Column], columns: Mapping[str, Float[np.ndarray, "rows"]]
 ) -> tuple[Node, ...]:
-    """Two terms of one effect at once, each at its own node of the grid: all pairs, best first, that the signs allow before others."""
+    """Two terms of one effect at once, each at its own node of the grid, the earlier node first: all pairs, best first, those
+    that the signs allow before others.
+    """
     work = _Work.of(best, [*first, *second], columns)
-    pairs = [(one, other) for one in first for other in second if one.fixed != other.fixed or not one.fixed]
-    nodes = [work.node(pair) for pair in pairs if all(work.felt(one) and work.left(one) >= LEFT for one in pair)]
+    pairs = {
+        frozenset((tuple(one.fixed.items()), tuple(other.fixed.items()))): (one, other)
+        for one in reversed(first)
+        for other in second
+        if one.fixed != other.fixed or not one.fixed
+    }
+    nodes = [work.node(pair) for pair in pairs.values() if all(work.felt(one) and work.left(one) >= LEFT for one in pair)]
     return tuple(sorted(nodes, key=lambda node: (not _possible(node), -node.statistic)))
 
 

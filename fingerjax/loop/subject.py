@@ -245,6 +245,7 @@ class AbstractSubject(abc.ABC):
     - `name`: what the data are called; `kind`: `measured` or `synthetic`.
     - `parameters`: the free base parameters, in the order of the raw vector; their values are the start.
     - `priors`: parameter name -> normal prior in its own unit.
+    - `refinement`: element size of the finer mesh over that of the mesh.
     """
 
     name: str
@@ -253,6 +254,7 @@ class AbstractSubject(abc.ABC):
     families: tuple[Family, ...]
     priors: Mapping[str, Prior] = NONE  # type: ignore[assignment]
     kind: str = "measured"
+    refinement: float = 0.5
     version: ClassVar[str] = ""
 
     @abc.abstractmethod
@@ -269,7 +271,7 @@ class AbstractSubject(abc.ABC):
         """
 
     def finer(self, raw: Float[np.ndarray, "p"], phi: Mapping[str, float]) -> Float[np.ndarray, "rows"] | None:
-        """The prediction on a mesh of half the size; None where there is none."""
+        """The prediction on a finer mesh; None where there is none."""
         return None
 
     def proposals(self, raw: Float[np.ndarray, "p"]) -> tuple[Proposal, ...]:

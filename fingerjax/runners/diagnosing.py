@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ..effects import catalogue, chosen
 from ..errors import InputError
-from ..forward import assemble
+from ..forward import Assembled, assemble
 from ..forward.shape import Tell, unheard
 from ..loop.calibrate import SETS
 from ..loop.diagnosis import diagnose
 from ..loop.record import Diagnosis
 from ..loop.refit import forget
 from ..study import Study
-from .subject import GROWTH, FingerSubject
+from .subject import FingerSubject
 
-FINER = 0.62  # of the element size: about four times the nodes
-WORKING = 25_000  # nodes of the mesh that is fitted on, at most
-LARGEST = 60_000  # nodes of the finer one
+WORKING = 10_000  # nodes of the mesh that is fitted on, at most
+CHECKING = 30_000  # nodes of the finer one, at most
+GROWTH = 1.2  # power by which nodes grow as elements shrink: thin layers keep theirs
+FINER = 0.5  # element size of the finer mesh over that of the mesh, where its nodes allow
+CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
+TRIES = 3  # meshes on the way to a coarser one
 
 
 def diagnose_study(
@@ -58,15 +62,31 @@ def subject_of(
     """A study made ready for the loop, on two meshes: its own, and a finer one; where its own is large, on a coarser one and its own."""
     asked = chosen(effects, catalogue(folder))
     own = assemble(study, solver=solver, tell=lambda share, what: tell(0.4 * share, what))
-    coarser = max(1.0, (len(own.mesh.nodes) / WORKING) ** (1 / GROWTH))
     if study.finger.mesh is not None:
         return FingerSubject(own, asked, solver=solver)
     tell(0.4, "meshing again")
-    if coarser > 1 / FINER**0.5:
-        subject = FingerSubject(assemble(study, solver=solver, size=coarser), asked, solver=solver, size=coarser)
-        subject.refine(own)
-        return subject
-    subject = FingerSubject(own, asked, solver=solver)
-    if len(own.mesh.nodes) / FINER**GROWTH <= LARGEST:
-        subject.refine(assemble(study, solver=solver, size=FINER))
+    size, working = _at_most(study, own, WORKING, solver)
+    subject = FingerSubject(working, asked, solver=solver, size=size)
+    tell(0.7, "a finer mesh")
+    if size * FINER < 1.0 < size:
+        finer, checking = _at_most(study, own, CHECKING, solver)
+    else:
+        finer = max(size * FINER, size * (len(working.mesh.nodes) / CHECKING) ** (1 / GROWTH))
+        checking = assemble(study, solver=solver, size=finer) if finer < CLOSE * size else working
+    if finer < CLOSE * size:
+        subject.refine(checking, finer / size)
     return subject
+
+
+def _at_most(study: Study, own: Assembled, nodes: int, solver: str) -> tuple[float, Assembled]:
+    """The study on its own mesh, or on a coarser one that has about so many nodes, and how much larger its elements are."""
+    size, found = 1.0, own
+    power = GROWTH
+    for _ in range(TRIES):
+        if len(found.mesh.nodes) <= nodes:
+            break
+        larger = size * (1.05 * len(found.mesh.nodes) / nodes) ** (1 / power)
+        made = assemble(study, solver=solver, size=larger)
+        power = math.log(len(found.mesh.nodes) / len(made.mesh.nodes)) / math.log(larger / size)
+        size, found = larger, made
+    return size, found

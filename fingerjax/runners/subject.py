@@ -35,7 +35,6 @@ Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
-GROWTH = 1.3  # power by which nodes grow as elements shrink: thin layers keep theirs
 REACH = 3.0  # plausible sizes from the null to the bounds
 
 
@@ -118,9 +117,9 @@ class FingerSubject(AbstractSubject):
         more = self._beyond(raw, self._amounts(phi))
         return None if more is None else fine + more[0]
 
-    def refine(self, fine: Assembled) -> None:
-        """Give the subject a finer mesh to check itself against."""
-        self._fine = fine
+    def refine(self, fine: Assembled, refinement: float) -> None:
+        """Give the subject a finer mesh to check itself against, with elements of `refinement` times the size."""
+        self._fine, self.refinement = fine, refinement
 
     def account(self) -> Mapping[str, object]:
         fine = None if self._fine is None else len(self._fine.mesh.nodes)

@@ -1,0 +1,61 @@
+"""The search for the least sum of squares where the residual at the end is large."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from fingerjax.loop.descent import Place, descend, learned
+
+FAR = np.array([-5.0, -5.0]), np.array([5.0, 5.0])
+T = np.linspace(0.0, 3.0, 25)
+
+
+class Curve:
+    """exp(a) exp(-exp(b) t) beside data of quite another form, counted."""
+
+    def __init__(self, wall: float = np.inf):
+        self.data, self.count, self.wall = 40.0 * np.cos(2.0 * T) + 30.0, 0, wall
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        self.count += 1
+        value = 40.0 * np.exp(x[0] - np.exp(x[1]) * T)
+        return value - self.data if x[0] < self.wall else np.full(len(T), np.nan)
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        value = 40.0 * np.exp(x[0] - np.exp(x[1]) * T)
+        return np.stack([value, -np.exp(x[1]) * T * value], axis=1)
+
+
+def test_a_large_residual_does_not_slow_the_search() -> None:
+    curve = Curve()
+    found = descend(curve.residual, curve.jacobian, np.array([0.0, 0.0]), *FAR, 1e-3)
+    known = least_squares(curve.residual, np.zeros(2), jac=curve.jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    assert found == pytest.approx(known.x, abs=1e-4) and known.cost > 1e3
+    quick, slow = Curve(), Curve()
+    descend(quick.residual, quick.jacobian, np.zeros(2), *FAR, 1e-3)
+    x = np.zeros(2)
+    while np.linalg.norm(np.linalg.qr(slow.jacobian(x))[0].T @ slow.residual(x)) > 1e-3 and slow.count < 100:
+        x = x - np.linalg.lstsq(slow.jacobian(x), slow.residual(x), rcond=None)[0]
+    assert quick.count < slow.count / 2
+
+
+def test_bounds_hold_and_the_other_parameter_is_at_its_best() -> None:
+    curve = Curve()
+    found = descend(curve.residual, curve.jacobian, np.array([-2.0, 0.0]), np.array([-5.0, -5.0]), np.array([0.2, 5.0]), 1e-3)
+    known = least_squares(curve.residual, [-2.0, 0.0], jac=curve.jacobian, bounds=([-5.0, -5.0], [0.2, 5.0]), xtol=1e-14, ftol=1e-14)
+    assert found == pytest.approx(known.x, abs=1e-3) and found[0] == pytest.approx(0.2)
+
+
+def test_a_step_to_where_there_is_no_answer_is_refused() -> None:
+    curve = Curve(wall=1.2)
+    found = descend(curve.residual, curve.jacobian, np.array([-3.0, 2.0]), *FAR, 1e-3)
+    assert found is not None and np.isfinite(curve.residual(found)).all()
+
+
+def test_what_is_learned_agrees_with_the_gradients_at_both_ends() -> None:
+    curve = Curve()
+    here, there = (Place(x, curve.residual(x), curve.jacobian(x)) for x in (np.array([0.1, 0.0]), np.array([0.3, 0.1])))
+    turned = (there.jacobian - here.jacobian).T @ there.residual
+    assert learned(np.diag([1.0, -2.0]), here, there) @ (there.x - here.x) == pytest.approx(turned, rel=1e-9)
