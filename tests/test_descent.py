@@ -30,9 +30,9 @@ class Curve:
 
 def test_a_large_residual_does_not_slow_the_search() -> None:
     curve = Curve()
-    found = descend(curve.residual, curve.jacobian, np.array([0.0, 0.0]), *FAR, 1e-3)
+    found, reached = descend(curve.residual, curve.jacobian, np.array([0.0, 0.0]), *FAR, 1e-3)
     known = least_squares(curve.residual, np.zeros(2), jac=curve.jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-12)
-    assert found == pytest.approx(known.x, abs=1e-4) and known.cost > 1e3
+    assert reached and found == pytest.approx(known.x, abs=1e-4) and known.cost > 1e3
     quick, slow = Curve(), Curve()
     descend(quick.residual, quick.jacobian, np.zeros(2), *FAR, 1e-3)
     x = np.zeros(2)
@@ -43,15 +43,15 @@ def test_a_large_residual_does_not_slow_the_search() -> None:
 
 def test_bounds_hold_and_the_other_parameter_is_at_its_best() -> None:
     curve = Curve()
-    found = descend(curve.residual, curve.jacobian, np.array([-2.0, 0.0]), np.array([-5.0, -5.0]), np.array([0.2, 5.0]), 1e-3)
+    found, _ = descend(curve.residual, curve.jacobian, np.array([-2.0, 0.0]), np.array([-5.0, -5.0]), np.array([0.2, 5.0]), 1e-3)
     known = least_squares(curve.residual, [-2.0, 0.0], jac=curve.jacobian, bounds=([-5.0, -5.0], [0.2, 5.0]), xtol=1e-14, ftol=1e-14)
     assert found == pytest.approx(known.x, abs=1e-3) and found[0] == pytest.approx(0.2)
 
 
 def test_a_step_to_where_there_is_no_answer_is_refused() -> None:
     curve = Curve(wall=1.2)
-    found = descend(curve.residual, curve.jacobian, np.array([-3.0, 2.0]), *FAR, 1e-3)
-    assert found is not None and np.isfinite(curve.residual(found)).all()
+    found, _ = descend(curve.residual, curve.jacobian, np.array([-3.0, 2.0]), *FAR, 1e-3)
+    assert np.isfinite(curve.residual(found)).all()
 
 
 def test_what_is_learned_agrees_with_the_gradients_at_both_ends() -> None:
@@ -59,3 +59,15 @@ def test_what_is_learned_agrees_with_the_gradients_at_both_ends() -> None:
     here, there = (Place(x, curve.residual(x), curve.jacobian(x)) for x in (np.array([0.1, 0.0]), np.array([0.3, 0.1])))
     turned = (there.jacobian - here.jacobian).T @ there.residual
     assert learned(np.diag([1.0, -2.0]), here, there) @ (there.x - here.x) == pytest.approx(turned, rel=1e-9)
+
+
+def test_a_valley_that_bends_is_followed() -> None:
+    def residual(x: np.ndarray) -> np.ndarray:
+        count[0] += 1
+        return np.array([100.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+    count = [0]
+    found, reached = descend(
+        residual, lambda x: np.array([[-200.0 * x[0], 100.0], [-1.0, 0.0]]), np.array([-1.2, 1.0]), *FAR, 1e-6
+    )  # fmt: skip
+    assert reached and found == pytest.approx([1.0, 1.0], abs=1e-6) and count[0] < 40

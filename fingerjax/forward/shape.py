@@ -26,6 +26,7 @@ from ..mesh.imported import read_mesh
 from ..study import Study
 
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
+COARSEST = 1.6  # of the resolution that was asked for
 Tell = Callable[[float, str], object]
 
 
@@ -51,12 +52,16 @@ def solid_of(study: Study, tell: Tell = unheard) -> LayeredSolid:
 
 
 def mesh_of(study: Study, solid: LayeredSolid, focus: tuple[Focus, ...] = (), size: float = 1.0) -> Finger:
-    """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for."""
+    """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for.
+
+    Elements `size` times as large are coarser first of all where they were made small, for elsewhere they must follow the bone.
+    """
     said = study.finger
     if said.mesh is not None:
         return read_mesh(_there(study.shape, said.mesh.file), _nail(study), said.mesh.unit, study.name)[0]
-    resolution = Resolution(size * said.resolution.pad_mm, size * said.resolution.proximal_mm)
-    focus = tuple(dataclasses.replace(one, size=size * one.size) for one in focus)
+    everywhere = min(size, COARSEST)
+    resolution = Resolution(everywhere * said.resolution.pad_mm, everywhere * said.resolution.proximal_mm)
+    focus = tuple(dataclasses.replace(one, size=size * max(size, 1.0) * one.size) for one in focus)
     return build_finger(solid, resolution, focus, said.mesher)
 
 

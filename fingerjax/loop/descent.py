@@ -1,8 +1,8 @@
 """A search for the least sum of squares inside bounds that stays fast where the residual at the end is large.
 
 Gauss-Newton steps leave out how the Jacobian turns, S = sum r_i grad^2 r_i: where a model misses its data by many standard errors they
-crawl. S is learned from the steps (Dennis, Gay & Welsch 1981, ACM Trans. Math. Softw. 7, 348) and put in, damped where a step leads up
-(Levenberg 1944).
+crawl. S is learned from the steps (Dennis, Gay & Welsch 1981, ACM Trans. Math. Softw. 7, 348) and put in once it foretells a step better
+than its absence; a step that leads up is damped (Levenberg 1944).
 
     minimise  g's + s'(J'J + S + d D)s / 2     inside the box,      g = J'r
 """
@@ -18,8 +18,12 @@ from scipy.optimize import lsq_linear
 
 from .whitening import Projection
 
-STEPS = 20  # damped steps
+STEPS = 30  # damped steps
+FIRST = 0.03  # damping, so that what the data hardly see is not thrown far off while they are still far away
+POOR, GOOD = 0.25, 0.6  # gain below which steps become shorter, and above which they become longer
 LONGEST = 1.5  # how far one may go, in raw parameters and in plausible sizes of effects
+BENT, SHARP = 0.75, 1.5  # gain below which the bend is looked at, and its size over the step's up to which it is followed
+PROBE = 0.1  # of a step, where the model has no answer at its end
 LEAST = 1e-3  # share of the Gauss-Newton curvature that is kept in every direction, whatever S says
 
 Residual = Callable[[np.ndarray], np.ndarray]
@@ -49,26 +53,64 @@ def descend(
     lower: Float[np.ndarray, "q"],
     upper: Float[np.ndarray, "q"],
     near: float,
-) -> Float[np.ndarray, "q"] | None:
-    """The optimum from a start inside the bounds, to `near` standard errors; None where it is not reached in a few steps.
+) -> tuple[Float[np.ndarray, "q"], bool]:
+    """The optimum from a start inside the bounds, to `near` standard errors, and whether it was reached; else the best point that was seen.
 
     `residual` gives NaN where the model has no answer: such a step is refused.
     """
     here = Place(x, residual(x), jacobian(x))
-    turning, damping = np.zeros((len(x), len(x))), 0.0
+    turning, damping, trusted = np.zeros((len(x), len(x))), FIRST, False
     for _ in range(STEPS):
         ways = movable(here.x, here.gradient, lower, upper)
         if np.linalg.norm(Projection.of(here.jacobian[:, ways]).basis.T @ here.residual) < near:
-            return here.x
-        after = np.clip(here.x + _step(here, turning, damping, lower, upper), lower, upper)
+            return here.x, True
+        believed = turning if trusted else np.zeros_like(turning)
+        step = _step(here, believed, damping, lower, upper)
+        after = np.clip(here.x + step, lower, upper)
         moved = residual(after)
-        if np.isfinite(moved).all() and moved @ moved <= here.squares:
+        gain = _gain(here, step, believed, moved)
+        if gain < BENT and (bent := _bent(here, step, moved, believed, damping, residual)) is not None:
+            other = np.clip(here.x + bent, lower, upper)
+            beyond = residual(other)
+            if np.isfinite(beyond).all() and not beyond @ beyond >= min(here.squares, moved @ moved if gain >= 0 else np.inf):
+                after, moved, gain = other, beyond, max(_gain(here, step, believed, beyond), 0.0)
+        damping = _damping(damping, gain)
+        if gain >= 0:
             there = Place(after, moved, jacobian(after))
-            turning = learned(turning, here, there)
-            here, damping = there, 0.1 * damping if damping > 1e-4 else 0.0
-        else:
-            damping = max(10 * damping, 1e-3)
-    return None
+            trusted = foretells(turning, here, there, trusted)
+            turning, here = learned(turning, here, there), there
+    return here.x, False
+
+
+def _gain(here: Place, step: np.ndarray, turning: np.ndarray, moved: np.ndarray) -> float:
+    """What a step brought, over what was foretold of it; below 0 where it led up or nowhere."""
+    if not np.isfinite(moved).all() or moved @ moved > here.squares:
+        return -1.0
+    foretold = float(-2 * here.gradient @ step - np.sum((here.jacobian @ step) ** 2) - step @ turning @ step)
+    return (here.squares - float(moved @ moved)) / max(foretold, 1e-300)
+
+
+def _bent(here: Place, step: np.ndarray, moved: np.ndarray, turning: np.ndarray, damping: float, residual: Residual) -> np.ndarray | None:
+    """A step along the parabola t v + t^2 a / 2 with (J'J + S + d D) a = -J' r_vv, as far as it bends little; None where nothing is known."""
+    share = 1.0 if np.isfinite(moved).all() else PROBE
+    there = moved if share == 1.0 else residual(here.x + share * step)
+    if not np.isfinite(there).all():
+        return None
+    second = 2.0 / share * ((there - here.residual) / share - here.jacobian @ step)
+    scale = np.sqrt(np.maximum(np.einsum("nq,nq->q", here.jacobian, here.jacobian), 1e-300))
+    matrix = here.jacobian.T @ here.jacobian + turning + damping * np.diag(scale**2)
+    bend = -np.linalg.lstsq(matrix / np.outer(scale, scale), here.jacobian.T @ second / scale, rcond=1e-12)[0] / scale
+    far = min(1.0, SHARP * float(np.linalg.norm(scale * step)) / max(float(np.linalg.norm(scale * bend)), 1e-300))
+    return far * step + 0.5 * far**2 * bend
+
+
+def _damping(before: float, gain: float) -> float:
+    """More where a step brought little of what was foretold, less where it kept its word (Marquardt 1963)."""
+    if gain < 0:
+        return max(10 * before, 1e-2)
+    if gain < POOR:
+        return max(3 * before, 1e-2)
+    return before if gain < GOOD else 0.1 * before if before > 1e-3 else 0.0
 
 
 def _step(here: Place, turning: np.ndarray, damping: float, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -82,6 +124,15 @@ def _step(here: Place, turning: np.ndarray, damping: float, lower: np.ndarray, u
     aim = -(ways.T @ (here.gradient / scale)) / root
     room = np.maximum(lower - here.x, -LONGEST) - 1e-12, np.minimum(upper - here.x, LONGEST) + 1e-12
     return lsq_linear(rows, aim, bounds=room).x
+
+
+def foretells(turning: Float[np.ndarray, "q q"], here: Place, there: Place, trusted: bool) -> bool:
+    """Whether the quadratic model with S was nearer to what a step brought than the one without; `trusted` where neither was."""
+    step = there.x - here.x
+    plain = float(2 * here.gradient @ step + np.sum((here.jacobian @ step) ** 2))
+    more, found = float(step @ turning @ step), there.squares - here.squares
+    without, with_it = abs(plain - found), abs(plain + more - found)
+    return trusted if without == with_it else with_it < without
 
 
 def learned(turning: Float[np.ndarray, "q q"], here: Place, there: Place) -> Float[np.ndarray, "q q"]:

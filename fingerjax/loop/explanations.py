@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from . import heldout
 from .adequacy import Look, look
@@ -28,6 +28,7 @@ from .score import Node, combined
 from .subject import Column, Family
 
 FAMILIES, NODES = 7, 2  # refitted, best first
+ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 LEADS, RIVALS = 4, 3  # singles, and what each is paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
@@ -127,8 +128,8 @@ class Inquiry:
 
     def _fitted(self, node: Node) -> Optimum:
         fits = [
-            optimum(self.base.best.sample, node.columns, self.base.best.raw, start, name=_label(node.columns, number), kept=self.kept)
-            for number, start in enumerate(starts(node))
+            optimum(self.base.best.sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept)
+            for number, (raw, start) in enumerate(starts(node, self.base.best))
         ]
         return min(fits, key=_misfit)
 
@@ -176,8 +177,8 @@ class Inquiry:
     def _added(self, first: Explanation, node: Node) -> Optimum:
         columns = (*first.best.columns, *node.columns)
         fits = [
-            optimum(first.best.sample, columns, first.best.raw, {**first.best.phi, **start}, name=_label(columns, number), kept=self.kept)
-            for number, start in enumerate(starts(node))
+            optimum(first.best.sample, columns, raw, {**first.best.phi, **start}, name=_label(columns, number), kept=self.kept)
+            for number, (raw, start) in enumerate(starts(node, first.best))
         ]
         return min(fits, key=_misfit)
 
@@ -220,12 +221,18 @@ def main(singles: list[Explanation]) -> Explanation | None:
     return sound[0] if sound[0].delta - max(others, default=0.0) >= AHEAD else None
 
 
-def starts(node: Node) -> Iterator[dict[str, float]]:
-    """Where a search begins: at the expected change, and where that is larger than plausible at half a plausible size as well."""
-    plain = {one.key: _towards(one, node.change[one.key]) for one in node.columns}
-    yield plain
-    if any(abs(node.change[one.key]) > one.scale for one in node.columns):
-        yield {one.key: _towards(one, math.copysign(0.5 * one.scale, node.change[one.key])) for one in node.columns}
+def starts(node: Node, best: Optimum) -> Iterator[tuple[Float[np.ndarray, "p"], dict[str, float]]]:
+    """Where a search begins, raw parameters and effects: where the fit without the effect ended, with the expected change.
+
+    Where that change is larger than plausible its end tells little: then from where the study began as well, with half a plausible size;
+    and from there alone where the fit was driven to a limit, or far from the data, for want of the effect.
+    """
+    astray = bool(best.limits()) or best.rss > ASTRAY * best.df
+    if not astray:
+        yield best.raw, {one.key: _towards(one, node.change[one.key]) for one in node.columns}
+    if astray or any(abs(node.change[one.key]) > one.scale for one in node.columns):
+        first = np.array([parameter.raw() for parameter in best.sample.subject.parameters])
+        yield first, {one.key: _towards(one, math.copysign(0.5 * one.scale, node.change[one.key])) for one in node.columns}
 
 
 def _towards(column: Column, change: float) -> float:

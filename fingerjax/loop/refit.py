@@ -2,8 +2,8 @@
 
     minimise |L^-1 (y - f(theta, phi) - D)|^2 + |theta priors|^2 + sum ((phi - null) / scale)^2     inside the bounds
 
-by damped steps, and where those do not end soon by the trust-region reflective method (Branch, Coleman & Li 1999); both refuse a step to
-where the model has no converged answer. What they return is checked: an optimum is where no free direction promises more than a fiftieth of
+by damped steps, and where those do not end soon without an effect by the trust-region reflective method (Branch, Coleman & Li 1999); both
+refuse a step to where the model has no converged answer. What they return is checked: an optimum is where no free direction promises more than a fiftieth of
 a standard error.
 """
 
@@ -188,11 +188,11 @@ def _search(points: _Points, start: np.ndarray) -> np.ndarray:
     start = np.clip(start, lower + room, upper - room)
     if not points.at(start).usable:
         return start
-    near = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * NEAR)
-    if near is not None:
+    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * NEAR)
+    if reached or points.columns:
         return _polished(points, near)
     found = least_squares(
-        points.residual, start, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-9, xtol=1e-9, gtol=None,
+        points.residual, near, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-9, xtol=1e-9, gtol=None,
         max_nfev=EVALUATIONS,
     )  # fmt: skip
     return _polished(points, found.x)

@@ -18,8 +18,8 @@ from ..loop.refit import forget
 from ..study import Study
 from .subject import FingerSubject
 
-WORKING = 10_000  # nodes of the mesh that is fitted on, at most
-CHECKING = 30_000  # nodes of the finer one, at most
+WORKING = 14_000  # nodes of the mesh that is fitted on, at most
+CHECKING = 50_000  # nodes of the finer one, at most
 GROWTH = 1.2  # power by which nodes grow as elements shrink: thin layers keep theirs
 FINER = 0.5  # element size of the finer mesh over that of the mesh, where its nodes allow
 CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
@@ -68,11 +68,11 @@ def subject_of(
     size, working = _at_most(study, own, WORKING, solver)
     subject = FingerSubject(working, asked, solver=solver, size=size)
     tell(0.7, "a finer mesh")
-    if size * FINER < 1.0 < size:
+    if len(own.mesh.nodes) > CHECKING or FINER * size > 1.0:
         finer, checking = _at_most(study, own, CHECKING, solver)
     else:
-        finer = max(size * FINER, size * (len(working.mesh.nodes) / CHECKING) ** (1 / GROWTH))
-        checking = assemble(study, solver=solver, size=finer) if finer < CLOSE * size else working
+        finer = max(FINER * size, (len(own.mesh.nodes) / CHECKING) ** (1 / GROWTH))
+        checking = assemble(study, solver=solver, size=finer) if finer < CLOSE * size else own
     if finer < CLOSE * size:
         subject.refine(checking, finer / size)
     return subject
