@@ -9,6 +9,7 @@ than its absence; a step that leads up is damped (Levenberg 1944).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -24,6 +25,8 @@ POOR, GOOD = 0.25, 0.6  # gain below which steps become shorter, and above which
 LONGEST = 1.5  # how far one may go, in raw parameters and in plausible sizes of effects
 BENT, SHARP = 0.75, 1.5  # gain below which the bend is looked at, and its size over the step's up to which it is followed
 PROBE = 0.1  # of a step, where the model has no answer at its end
+# Where the residual is so many times the noise, a search whose last steps brought so little of what was promised is given up.
+FAR, CRAWL, PATIENCE = 2.0, 1e-3, 8
 LEAST = 1e-3  # share of the Gauss-Newton curvature that is kept in every direction, whatever S says
 
 Residual = Callable[[np.ndarray], np.ndarray]
@@ -42,6 +45,11 @@ class Place:
         return self.jacobian.T @ self.residual
 
     @property
+    def typical(self) -> float:
+        """Root mean square of the residual, or 1 where it is smaller."""
+        return max(1.0, float(np.linalg.norm(self.residual)) / math.sqrt(len(self.residual)))
+
+    @property
     def squares(self) -> float:
         return float(self.residual @ self.residual)
 
@@ -54,15 +62,20 @@ def descend(
     upper: Float[np.ndarray, "q"],
     near: float,
 ) -> tuple[Float[np.ndarray, "q"], bool]:
-    """The optimum from a start inside the bounds, to `near` standard errors, and whether it was reached; else the best point that was seen.
+    """The optimum from a start inside the bounds, and whether it was reached; else the best point that was seen.
+
+    It is one where `near` standard errors may still be gained, of the residual's own size where that is larger than the noise. A search
+    that crawls far from the data is given up.
 
     `residual` gives NaN where the model has no answer: such a step is refused.
     """
     here = Place(x, residual(x), jacobian(x))
     turning, damping, trusted = np.zeros((len(x), len(x))), FIRST, False
+    slow = 0
     for _ in range(STEPS):
         ways = movable(here.x, here.gradient, lower, upper)
-        if np.linalg.norm(Projection.of(here.jacobian[:, ways]).basis.T @ here.residual) < near:
+        promised = float(np.linalg.norm(Projection.of(here.jacobian[:, ways]).basis.T @ here.residual))
+        if promised < near * here.typical:
             return here.x, True
         believed = turning if trusted else np.zeros_like(turning)
         step = _step(here, believed, damping, lower, upper)
@@ -75,6 +88,10 @@ def descend(
             if np.isfinite(beyond).all() and not beyond @ beyond >= min(here.squares, moved @ moved if gain >= 0 else np.inf):
                 after, moved, gain = other, beyond, max(_gain(here, step, believed, beyond), 0.0)
         damping = _damping(damping, gain)
+        crawls = min(moved @ moved, here.squares) > (1 - CRAWL) * here.squares and promised**2 > CRAWL * here.squares
+        slow = slow + 1 if crawls and here.typical > FAR else 0
+        if slow == PATIENCE:
+            break
         if gain >= 0:
             there = Place(after, moved, jacobian(after))
             trusted = foretells(turning, here, there, trusted)
@@ -90,8 +107,10 @@ def _gain(here: Place, step: np.ndarray, turning: np.ndarray, moved: np.ndarray)
     return (here.squares - float(moved @ moved)) / max(foretold, 1e-300)
 
 
-def _bent(here: Place, step: np.ndarray, moved: np.ndarray, turning: np.ndarray, damping: float, residual: Residual) -> np.ndarray | None:
-    """A step along the parabola t v + t^2 a / 2 with (J'J + S + d D) a = -J' r_vv, as far as it bends little; None where nothing is known."""
+def _bent(
+    here: Place, step: np.ndarray, moved: np.ndarray, turning: np.ndarray, damping: float, residual: Residual
+) -> np.ndarray | None:
+    """A step along the parabola t v + t^2 a / 2 with (J'J + S + d D) a = -J' r_vv, as far as it bends little; None if that is not known."""
     share = 1.0 if np.isfinite(moved).all() else PROBE
     there = moved if share == 1.0 else residual(here.x + share * step)
     if not np.isfinite(there).all():

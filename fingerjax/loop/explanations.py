@@ -28,6 +28,7 @@ from .score import Node, combined
 from .subject import Column, Family
 
 FAMILIES, NODES = 7, 2  # refitted, best first
+NEARLY = 0.7  # of the leader's fall of RSS from which on the mesh is asked again
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 LEADS, RIVALS = 4, 3  # singles, and what each is paired with
@@ -112,6 +113,7 @@ class Inquiry:
     kept: Keep = forget
     tell: Tell = lambda share, what: None
     found: dict[str, Explanation] = field(default_factory=dict)
+    leading: float = 0.0  # the largest fall of RSS so far
 
     @property
     def needed(self) -> float:
@@ -152,7 +154,10 @@ class Inquiry:
         return Look(best, self.base.ranking, self.base.critical, self.base.adequacy)
 
     def _on_its_own_mesh(self, best: Optimum) -> Optimum:
-        if not best.settled or self.base.best.rss - best.rss < self.needed or not best.sample.offset.any():
+        """With the mesh's correction made anew where the effect led, for those that are near the leader."""
+        delta = self.base.best.rss - best.rss
+        self.leading = max(self.leading, delta if best.settled else 0.0)
+        if not best.settled or delta < max(self.needed, NEARLY * self.leading) or not best.sample.offset.any():
             return best
         offset = correction(best)
         if offset is None:

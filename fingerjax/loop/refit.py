@@ -3,8 +3,8 @@
     minimise |L^-1 (y - f(theta, phi) - D)|^2 + |theta priors|^2 + sum ((phi - null) / scale)^2     inside the bounds
 
 by damped steps, and where those do not end soon without an effect by the trust-region reflective method (Branch, Coleman & Li 1999); both
-refuse a step to where the model has no converged answer. What they return is checked: an optimum is where no free direction promises more than a fiftieth of
-a standard error.
+refuse a step to where the model has no converged answer. What they return is checked: an optimum is where no free direction promises more
+than a tenth of a standard error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from .subject import Column, Evaluation
 from .whitening import Projection
 
 LEVEL = 1e-6  # largest cosine between the residual and a free column at an optimum
-NEAR = 2e-2  # standard errors that may still be gained at an optimum
+# Standard errors, of the residual's own size where that is larger, that an optimum with effects and one without may lack.
+NEAR, NEARER = 0.1, 0.02
 EVALUATIONS = 60  # of one search
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
@@ -124,6 +125,10 @@ class _Points:
     seen: dict[bytes, Evaluation] = field(default_factory=dict)
 
     @property
+    def near(self) -> float:
+        return NEAR if self.columns else NEARER
+
+    @property
     def moving(self) -> tuple[str, ...]:
         return tuple(column.key for column in self.columns)
 
@@ -188,8 +193,10 @@ def _search(points: _Points, start: np.ndarray) -> np.ndarray:
     start = np.clip(start, lower + room, upper - room)
     if not points.at(start).usable:
         return start
-    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * NEAR)
-    if reached or points.columns:
+    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * points.near)
+    if points.columns and not reached:
+        return near
+    if reached:
         return _polished(points, near)
     found = least_squares(
         points.residual, near, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-9, xtol=1e-9, gtol=None,
@@ -205,7 +212,8 @@ def _polished(points: _Points, x: np.ndarray) -> np.ndarray:
         residual, jacobian = points.residual(x), points.jacobian(x)
         free = movable(x, jacobian.T @ residual, lower, upper)
         projection = Projection.of(jacobian[:, free])
-        if np.linalg.norm(projection.basis.T @ residual) < 0.3 * NEAR or _cosine(residual, jacobian[:, free]) < LEVEL:
+        left = float(np.linalg.norm(projection.basis.T @ residual))
+        if left < 0.3 * points.near * _typical(residual) or _cosine(residual, jacobian[:, free]) < LEVEL:
             return x
         step = np.zeros(len(x))
         step[free] = -projection.inverse @ residual
@@ -215,6 +223,10 @@ def _polished(points: _Points, x: np.ndarray) -> np.ndarray:
             return x
         x = after
     return x
+
+
+def _typical(residual: np.ndarray) -> float:
+    return max(1.0, float(np.linalg.norm(residual)) / math.sqrt(len(residual)))
 
 
 def _cosine(residual: np.ndarray, jacobian: np.ndarray) -> float:
@@ -235,7 +247,7 @@ def _ended(points: _Points, x: np.ndarray) -> Optimum:
     free = movable(x, jacobian.T @ residual, *points.box())
     gradient = _cosine(residual, jacobian[:, free])
     left = float(np.linalg.norm(Projection.of(jacobian[:, free]).basis.T @ residual))
-    settled = gradient < LEVEL or left < NEAR
+    settled = gradient < LEVEL or left < points.near * _typical(residual)
     reason = "" if settled else f"the search stopped {left:.2g} standard errors from the optimum"
     return Optimum(
         points.sample, points.columns, raw, phi, at, -residual[:size], jacobian[:size], free, gradient, settled, reason
