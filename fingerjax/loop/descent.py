@@ -26,7 +26,8 @@ LONGEST = 1.5  # how far one may go, in raw parameters and in plausible sizes of
 BENT, SHARP = 0.75, 1.5  # gain below which the bend is looked at, and its size over the step's up to which it is followed
 PROBE = 0.1  # of a step, where the model has no answer at its end
 # Where the residual is so many times the noise, a search whose last steps brought so little of what was promised is given up.
-FAR, CRAWL, PATIENCE = 2.0, 1e-3, 8
+FAR, CRAWL, PATIENCE = 2.0, 1e-3, 5
+STUCK = 1e-7  # share of the sum of squares that says of two steps in turn that there is no getting on
 LEAST = 1e-3  # share of the Gauss-Newton curvature that is kept in every direction, whatever S says
 
 Residual = Callable[[np.ndarray], np.ndarray]
@@ -61,22 +62,27 @@ def descend(
     lower: Float[np.ndarray, "q"],
     upper: Float[np.ndarray, "q"],
     near: float,
+    enough: float = math.inf,
 ) -> tuple[Float[np.ndarray, "q"], bool]:
     """The optimum from a start inside the bounds, and whether it was reached; else the best point that was seen.
 
     It is one where `near` standard errors may still be gained, of the residual's own size where that is larger than the noise. A search
-    that crawls far from the data is given up.
+    that crawls far from the data is given up, and so is one that does not promise to come below `enough`, the sum of squares that something
+    else has reached.
 
     `residual` gives NaN where the model has no answer: such a step is refused.
     """
     here = Place(x, residual(x), jacobian(x))
     turning, damping, trusted = np.zeros((len(x), len(x))), FIRST, False
-    slow = 0
+    slow = stuck = hopeless = 0
     for _ in range(STEPS):
         ways = movable(here.x, here.gradient, lower, upper)
         promised = float(np.linalg.norm(Projection.of(here.jacobian[:, ways]).basis.T @ here.residual))
         if promised < near * here.typical:
             return here.x, True
+        hopeless = hopeless + 1 if here.squares - promised**2 > enough else 0
+        if slow == PATIENCE or stuck == 2 or hopeless == PATIENCE:
+            break
         believed = turning if trusted else np.zeros_like(turning)
         step = _step(here, believed, damping, lower, upper)
         after = np.clip(here.x + step, lower, upper)
@@ -90,8 +96,7 @@ def descend(
         damping = _damping(damping, gain)
         crawls = min(moved @ moved, here.squares) > (1 - CRAWL) * here.squares and promised**2 > CRAWL * here.squares
         slow = slow + 1 if crawls and here.typical > FAR else 0
-        if slow == PATIENCE:
-            break
+        stuck = stuck + 1 if abs(float(moved @ moved) - here.squares) < STUCK * here.squares else 0
         if gain >= 0:
             there = Place(after, moved, jacobian(after))
             trusted = foretells(turning, here, there, trusted)

@@ -29,6 +29,7 @@ from .subject import Column, Family
 
 FAMILIES, NODES = 7, 2  # refitted, best first
 NEARLY = 0.7  # of the leader's fall of RSS from which on the mesh is asked again
+BEHIND = 10.0  # critical values by which an explanation may be behind the leader and still be followed to its end
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 LEADS, RIVALS = 4, 3  # singles, and what each is paired with
@@ -116,6 +117,12 @@ class Inquiry:
     leading: float = 0.0  # the largest fall of RSS so far
 
     @property
+    def enough(self) -> float:
+        """Sum of squares above which an explanation is far behind the leader, and one that does not promise to come below is given up."""
+        behind = max(BEHIND * self.needed, 0.5 * self.base.best.rss)
+        return self.base.best.rss - self.leading + behind
+
+    @property
     def needed(self) -> float:
         """Delta that chance, or what the mesh leaves, does not reach."""
         return (self.base.critical.value + self.margin) ** 2
@@ -130,7 +137,9 @@ class Inquiry:
 
     def _fitted(self, node: Node) -> Optimum:
         fits = [
-            optimum(self.base.best.sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept)
+            optimum(
+                self.base.best.sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept, enough=self.enough
+            )  # fmt: skip
             for number, (raw, start) in enumerate(starts(node, self.base.best))
         ]
         return min(fits, key=_misfit)

@@ -179,21 +179,24 @@ def optimum(
     *,
     name: str = "",
     kept: Keep = forget,
+    enough: float = math.inf,
 ) -> Optimum:
-    """The best point from a start; a finished search is handed to `kept` under its name, as numbers."""
+    """The best point from a start; a finished search is handed to `kept` under its name, as numbers. One that does not promise a sum of
+    squares below `enough` is given up.
+    """
     points = _Points(sample, columns)
     start = np.concatenate([raw, [(phi[one.key] - one.null) / one.scale for one in columns]])
-    found = kept(name, lambda: {"x": _search(points, start).tolist()})
+    found = kept(name, lambda: {"x": _search(points, start, enough).tolist()})
     return _ended(points, np.array(found["x"], dtype=float))
 
 
-def _search(points: _Points, start: np.ndarray) -> np.ndarray:
+def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
     lower, upper = points.box()
     room = np.where(np.isfinite(upper - lower), 1e-6 * (upper - lower), 1e-6)
     start = np.clip(start, lower + room, upper - room)
     if not points.at(start).usable:
         return start
-    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * points.near)
+    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * points.near, enough)
     if points.columns and not reached:
         return near
     if reached:
