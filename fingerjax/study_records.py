@@ -176,13 +176,15 @@ class Study:
 def base_parameters(model: Model, measurements: Sequence[Measurement] = ()) -> tuple[Parameter, ...]:
     """The parameters of a model and of the afferents that were recorded.
 
-    `<layer>.modulus` (MPa), `poisson_ratio` or `<layer>.poisson_ratio`, and for every spike-rate measurement
+    `<layer>.modulus` (MPa), `stiffness` (a factor on the moduli of all soft layers, so that fingers of the same ratios can differ by it),
+    `poisson_ratio` or `<layer>.poisson_ratio`, and for every spike-rate measurement
     its `scale` (Hz/MPa) and `threshold` (MPa): rate = scale * max(quantity - threshold, 0). The bone's
     modulus is there where it is elastic.
     """
     afferents = [one for one in measurements if one.kind == "spike_rate"]
     return (
         *_moduli(model),
+        Parameter("stiffness", 1.0, "1", "log", 1e-6, 1e6),
         *_poisson_ratios(model),
         *(p for one in afferents for p in _afferent(model, one)),
     )

@@ -98,6 +98,7 @@ def test_parameters(folder):
     layers = ["epidermis", "dermis", "adipose", "fibrous"]
     assert list(by_name) == [
         *(f"{layer}.modulus" for layer in layers),
+        "stiffness",
         "poisson_ratio",
         "bar.scale",
         "bar.threshold",

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..fem.body import Material
-from ..layers import LAYERS
+from ..layers import LAYERS, SOFT_LAYERS
 from ..measurements import Measurement
 from ..parameters import Parameter
 from ..study import Study
@@ -46,7 +46,9 @@ class Wiring:
 
     def material(self, labels: Mapping[str, str], values: Values) -> Material:
         """The tissue of a row with these labels."""
-        E = [self._of(f"{layer}.modulus", RIGID_BONE[0], labels, values) for layer in LAYERS]
+        stiffness = self.value("stiffness", labels, values)
+        soft = [stiffness * self.value(f"{layer}.modulus", labels, values) for layer in SOFT_LAYERS]
+        E = [*soft, self._of("bone.modulus", RIGID_BONE[0], labels, values)]
         nu = [self._poisson_ratio(layer, labels, values) for layer in LAYERS]
         return Material(jnp.stack(E), jnp.stack(nu))
 
