@@ -60,11 +60,14 @@ class Place:
 
 
 class Chord:
-    """A stiffness that is kept: a condensed body, and which of its columns, `own` (p,), a place's are. Lives outside of compiled code."""
+    """A stiffness that is kept: a condensed body `times` as stiff, and which of its columns, `own` (p,), a place's are.
 
-    def __init__(self, condensed: AbstractCondensed, own: np.ndarray):
-        self.condensed = condensed
-        self.compliance = condensed.held.matrix[np.ix_(own, own)]
+    Lives outside of compiled code.
+    """
+
+    def __init__(self, condensed: AbstractCondensed, own: np.ndarray, times: float = 1.0):
+        self.condensed, self.own, self.times = condensed, own, times
+        self.compliance = condensed.held.matrix[np.ix_(own, own)] / times
 
     @classmethod
     def of(cls, condensed: Callable[[], AbstractCondensed], own: np.ndarray) -> Chord | None:
@@ -72,9 +75,17 @@ class Chord:
         found = condensed()
         return cls(found, own) if found.held.converged else None
 
+    def stiffer(self, times: float) -> Chord:
+        """The same body, so many times as stiff."""
+        return self if times == 1.0 else Chord(self.condensed, self.own, times * self.times)
+
+    def answer(self, loads: Float[Array, "m nodes 3"]) -> Float[Array, "m nodes 3"]:
+        """Displacements, mm, under nodal forces, N."""
+        return self.condensed.answer(loads) / self.times
+
     def __call__(self, load: np.ndarray) -> np.ndarray:
         """Displacement (3n,), mm, under nodal forces (3n,), N."""
-        return np.asarray(self.condensed.answer(jnp.asarray(load).reshape(1, -1, 3))).ravel()
+        return np.asarray(self.answer(jnp.asarray(load).reshape(1, -1, 3))).ravel()
 
 
 def tangent_chord(tissue: Tissue, place: Place, u: np.ndarray) -> Chord | None:

@@ -11,7 +11,7 @@ the displacement gradient.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -86,13 +86,17 @@ def strained_readings(
     chording = Chording() if chording is None else chording
     rigs = model.instruments.rigs
     cases: list[list[Ended | None]] = [[None] * len(rig.pose) for rig in rigs]
-    for variant, material in enumerate(model.instruments.materials(values)):
-        tissue = Tissue(model.body, law, material.lame(), model.solver)
-        condensed = _once(partial(model.solver.condense, model.body, tissue.lame, model.columns))
+    tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
+    linear = {number: _once(partial(model.solver.condense, model.body, one.lame, model.columns)) for number, one in enumerate(tissues)}
+    likes = [first_like(tissues, variant) for variant in range(len(tissues))]
+    for variant, (tissue, like) in enumerate(zip(tissues, likes, strict=True)):
+        condensed = linear[like] if like in likes[variant + 1 :] else linear.pop(like)
         for number, rig in enumerate(rigs):
             for pose, path in paths(rig, variant):
                 place, own = place_of(model, rig, pose)
-                warm = [None if start is None else start.cases[number][case] for case in path]
+                known = [None if start is None else start.cases[number][case] for case in path]
+                twins = [None if like == variant else twin(rig, case, like) for case in path]
+                warm = [known[i] if other is None else _rest(cases[number][other]) for i, other in enumerate(twins)]
                 loads = [imposed_on(model, values, rig, case) for case in path]
                 followed = _followed(tissue, place, partial(Chord.of, condensed, own), loads, warm, chording)
                 for case, ended in zip(path, followed, strict=True):
@@ -118,6 +122,31 @@ def imposed_on(model: Model, values: Values, rig: Rig, case: int) -> Imposed:
         raise ValueError("an apparatus that gives way is not computed together with nonlinear tissue")
     value = float(push.imposed)
     return Imposed(None, value) if rig.forced else Imposed(value, None)
+
+
+def first_like(tissues: Sequence[Tissue], variant: int) -> int:
+    """The first of the tissues whose constants are all the same number of times those of a variant; the variant itself where none is.
+
+    Under a given travel both take one shape, with forces so many times as large, unless springs that do not change hold them too.
+    """
+    if tissues[variant].body.springs is not None:
+        return variant
+    layers = np.unique(np.asarray(tissues[variant].body.layer))
+    sizes = [np.asarray(tissue.lame, float)[:, layers].ravel() for tissue in tissues[: variant + 1]]
+    own = sizes[variant] / np.linalg.norm(sizes[variant])
+    return next(number for number, size in enumerate(sizes) if np.allclose(size / np.linalg.norm(size), own, rtol=1e-12, atol=0.0))
+
+
+def twin(rig: Rig, case: int, variant: int) -> int | None:
+    """The case of another variant under the same travel in the same pose; None where there is none, or a force is imposed."""
+    same = (np.asarray(rig.variant) == variant) & (np.asarray(rig.pose) == int(rig.pose[case]))
+    found = np.flatnonzero(same & (np.asarray(rig.imposed) == float(rig.imposed[case])))
+    return int(found[0]) if len(found) and not rig.forced else None
+
+
+def _rest(ended: Ended | None) -> Ended | None:
+    """Where a case ended, as a start that asks for no stiffness of its own."""
+    return None if ended is None else ended._replace(tangent=False)
 
 
 def place_of(model: Model, rig: Rig, pose: int) -> tuple[Place, np.ndarray]:

@@ -10,7 +10,7 @@ of each equilibrium, in the moduli too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..contact.chord import Resting, tangent_chord
+from ..contact.chord import Chord, Place, Resting, tangent_chord
 from ..contact.strained import contact_slopes
 from ..fem.body import Body
 from ..fem.condensed import AbstractCondensed
@@ -31,7 +31,7 @@ from .pressing import Known, settle_with
 from .problem import Health
 from .readings import Instruments
 from .rigs import Rig
-from .strained import Strained, imposed_on, paths, place_of, rig_readings
+from .strained import Strained, first_like, imposed_on, place_of, rig_readings, twin
 from .wiring import Values
 
 Vector = Float[Array, " d"]
@@ -87,37 +87,48 @@ def _law_columns(instruments: Instruments, known: Known, values: dict, null: Vec
 
 
 def strained_jacobian(model: Model, of: Of, at: Vector, found: Strained) -> Float[Array, "rows d"]:
-    """Slopes of all readings at the equilibria that were `found`, by the implicit rule: one factorisation for each case.
+    """Slopes of all readings at the equilibria that were `found`, by the implicit rule: one factorisation for each case that is no twin.
 
     `of` makes the values and the law from one vector, so that its parameters may be raw or natural, a law's or an afferent's; `at` is the
     one of `found`. NaN where a case has no equilibrium.
     """
     values, law = of(at)
     slopes = [np.full((len(rig.pose), len(at), model.columns.count + 2), np.nan) for rig in model.instruments.rigs]
-    for variant, material in enumerate(model.instruments.materials(values)):
-        tissue = Tissue(model.body, law, material.lame(), model.solver)
-        for number, rig in enumerate(model.instruments.rigs):
-            for pose, path in paths(rig, variant):
-                for case in path:
-                    rest = found.cases[number][case].rest
-                    if rest is not None:
-                        slopes[number][case] = _case_slopes(model, tissue, rig, (pose, case, variant), rest, of, at)
+    tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
+    for number, rig in enumerate(model.instruments.rigs):
+        for first, twins in _of_one_shape(rig, tissues).items():
+            rest = found.cases[number][first].rest
+            place, _ = place_of(model, rig, int(rig.pose[first]))
+            chord = None if rest is None else tangent_chord(tissues[int(rig.variant[first])], place, rest.displacement)
+            for case, times in twins:
+                own = found.cases[number][case].rest
+                if chord is not None and own is not None:
+                    slopes[number][case] = _case_slopes(model, chord.stiffer(times), place, rig, case, own, of, at)
     contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
     return _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
 
 
+def _of_one_shape(rig: Rig, tissues: Sequence[Tissue]) -> dict[int, list[tuple[int, float]]]:
+    """Cases of one shape under the first of them: each with how many times as stiff its tissue is."""
+    found: dict[int, list[tuple[int, float]]] = {}
+    shear = [float(tissue.lame[1, int(tissue.body.layer[0])]) for tissue in tissues]
+    for variant in range(len(tissues)):
+        like = first_like(tissues, variant)
+        for case in np.flatnonzero(np.asarray(rig.variant) == variant).tolist():
+            other = None if like == variant else twin(rig, case, like)
+            first, times = (case, 1.0) if other is None else (other, shear[variant] / shear[like])
+            found.setdefault(first, []).append((case, times))
+    return found
+
+
 def _case_slopes(
-    model: Model, tissue: Tissue, rig: Rig, which: tuple[int, int, int], rest: Resting, of: Of, at: Vector
+    model: Model, chord: Chord, place: Place, rig: Rig, case: int, rest: Resting, of: Of, at: Vector
 ) -> Float[np.ndarray, "d m_2"]:
-    """Change of every column's reading, then of the force and of the travel, with each parameter; NaN where the tangent has no answer."""
-    (pose, case, variant), nodes = which, model.columns.nodes
-    place, _ = place_of(model, rig, pose)
-    chord = tangent_chord(tissue, place, rest.displacement)
-    if chord is None:
-        return np.full((len(at), model.columns.count + 2), np.nan)
+    """Change of every column's reading, then of the force and of the travel, with each parameter."""
+    variant, nodes = int(rig.variant[case]), model.columns.nodes
     u = jnp.asarray(rest.displacement).reshape(nodes, 3)
     force, push = _forces(model, of, at, variant, u)
-    moved = chord.condensed.answer(-push)
+    moved = chord.answer(-push)
     free = place.matrix.T @ (rest.displacement - chord(np.asarray(force).ravel()))
     travel, pressed = imposed_on(model, of(at)[0], rig, case)
     change, travels = contact_slopes(
@@ -129,7 +140,7 @@ def _case_slopes(
         None if pressed is None else jnp.asarray(pressed),
     )
     load = (place.matrix @ np.asarray(change).T).T
-    more = chord.condensed.answer(jnp.asarray(load).reshape(-1, nodes, 3))
+    more = chord.answer(jnp.asarray(load).reshape(-1, nodes, 3))
     read = (model.columns.matrix().T @ np.asarray(moved + more).reshape(len(load), -1).T).T
     return np.column_stack([read, load[:, 1::3].sum(axis=1), np.asarray(travels)])
 
