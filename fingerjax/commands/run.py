@@ -27,6 +27,8 @@ from fingerjax.runners import RUNNERS, Runner
 from fingerjax.spelling import choose_from
 from fingerjax.study import Study, load_studies
 
+OWN_DATA = "give their folder with --data or FINGERJAX_DATA, or name your own table under data: in the study"
+
 
 def run(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Studies, as in experiments.yaml.")],
@@ -88,7 +90,7 @@ def choose(studies: dict[str, Study], names: Sequence[str]) -> tuple[list[Study]
             raise InputError(
                 "measured data are not there", file=one.file, place=one.name,
                 seen=", ".join(one.missing_data),
-                remedy="give the folder that holds them with --data or FINGERJAX_DATA",
+                remedy=OWN_DATA,
             )  # fmt: skip
         else:
             absent.append(one)
@@ -143,7 +145,7 @@ def run_all(
 
 def _left_out(study: Study) -> StudyResult:
     missing = ", ".join(study.missing_data)
-    verdict = f"Not run: measured data are not there ({missing}); give their folder with --data."
+    verdict = f"Not run: measured data are not there ({missing}); {OWN_DATA}."
     return StudyResult(study.name, study.name, verdict)
 
 
