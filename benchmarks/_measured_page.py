@@ -1,0 +1,105 @@
+"""The page of the measured studies: every number of it from what the parts of `benchmarks.measured` kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from benchmarks._record import Figure, machine
+from fingerjax.report import loop_figures, loop_tables, loop_words
+from fingerjax.report.loop_record import Record
+from fingerjax.report.records import Table
+from fingerjax.report.tables import heading, shown
+
+HERE = Path(__file__).resolve().parent
+TEMPLATE, REMARKS, PICTURES = HERE / "measured.md.j2", HERE.parent / "fits" / "measured", HERE.parent / "docs" / "pictures"
+ORDER = ("fingerpad", "table1", "bar", "spheres", "mouse", "lag", "silicone")
+EFFECTS, PAIRS = 12, 8
+"""Rows of the longest tables that are shown."""
+COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "effects": ("effect", "acts_on", "score", "size_estimated", "smallest_visible", "plausible_size", "unit", "trace_left", "remark"),
+    "refits": ("effect", "size", "unit", "explained", "strongest_rival", "held_out_change", "converged", "in_the_set", "remark"),
+    "errors": ("measurement", "used", "rows", "before_share_of_data", "after_share_of_data", "before_over_noise", "after_over_noise"),
+    "parameters": ("parameter", "unit", "before", "before_lower", "before_upper", "after", "after_lower", "after_upper", "mesh"),
+}
+
+
+def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure]) -> str:
+    """The page in Markdown. **Arguments:** `found`: study -> its notes, its diagnosis as a record, and its own tables."""
+    here = machine()
+    names = [name for name in ORDER if name in found] + [name for name in found if name not in ORDER]
+    environment = Environment(
+        loader=FileSystemLoader([HERE, REMARKS]),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"share": loop_words.share, "short": loop_words.short, "markdown": markdown}
+    values = {figure.figure: figure for figure in figures}
+    return environment.get_template(TEMPLATE.name).render(
+        studies={name: _study(name, found[name]) for name in names},
+        value=lambda name: values[name].value,
+        cores=here["cores"],
+        cpu=here["cpu"],
+        memory=here["memory_GiB"],
+        seconds={name: values[f"{name}: whole study"].value for name in names},
+        remarked=[name for name in names if (REMARKS / f"{name}.md.j2").is_file()],
+    )
+
+
+def _study(name: str, kept: Mapping[str, Any]) -> dict[str, Any]:
+    record: Record = kept["record"]
+    return {
+        "notes": kept["notes"],
+        "record": record,
+        "verdict": loop_words.verdict(record),
+        "mesh": record["model"]["mesh"],
+        "lof": record["base"]["lof"],
+        "tables": {one["name"]: Table(**one) for one in kept["tables"]},
+        "errors": _columns(loop_tables.errors(record), "errors"),
+        "parameters": _columns(loop_tables.parameters(record), "parameters"),
+        "effects": _columns(_first(loop_tables.effects(record), EFFECTS), "effects"),
+        "refits": _columns(loop_tables.refits(record), "refits"),
+        "alike": _first(loop_tables.look_alikes(record), PAIRS),
+        "next": loop_tables.next_experiments(record),
+        "hidden": loop_tables.hidden(record),
+        "picture": _drawn(name, record),
+    }
+
+
+def _drawn(name: str, record: Record) -> str:
+    """The errors by condition as a picture; its path from the page."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    file = PICTURES / f"measured_{name}.svg"
+    file.write_text(loop_figures.conditions(record).svg, encoding="utf-8")
+    return f"{PICTURES.name}/{file.name}"
+
+
+def _first(table: Table, count: int) -> Table:
+    return Table(table.name, table.title, table.rows[:count], table.note)
+
+
+def _columns(table: Table, name: str) -> Table:
+    """The columns that a page has room for."""
+    rows = [{column: row.get(column) for column in COLUMNS[name]} for row in table.rows]
+    return Table(table.name, table.title, rows, table.note)
+
+
+def markdown(table: Table) -> str:
+    """A table in Markdown; a column without any entry is left out."""
+    names = [name for name in table.columns if any(row.get(name) not in (None, "") for row in table.rows)]
+    right = {name for name in names if all(isinstance(row.get(name), (int, float, type(None))) for row in table.rows)}
+    lines = [[heading(name) for name in names], ["---:" if name in right else "---" for name in names]]
+    lines += [[_cell(row.get(name)) for name in names] for row in table.rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _cell(entry: Any) -> str:
+    if isinstance(entry, float) and math.isfinite(entry):
+        return loop_words.short(entry)
+    return shown(entry).replace("|", "/")

@@ -1,0 +1,184 @@
+"""Measured fingertips, skin and silicone: how far a layered linear body explains them, and what it lacks.
+
+`python -m benchmarks.measured [--quick] [--part NAME] [--json FILE] [--write]`, with FINGERJAX_DATA set to the folder of measured data, or
+with that folder beside the repository as `shared/data`.
+
+Every study in `fits/measured` is a part: it is diagnosed as `fingerjax diagnose` does it, and then asked what it is there for (`FURTHER`).
+What a part found is kept under `build/measured`, from where `--write` makes docs/measured.md. `--quick` takes coarser meshes, fewer
+readings and a few effects.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import _afferents, _fingerpad, _table1
+from benchmarks._measured_page import page
+from benchmarks._parts import run_parts
+from benchmarks._record import Figure
+from fingerjax.commands.run import prepare
+from fingerjax.loop.diagnosis import investigate
+from fingerjax.loop.findings import Findings
+from fingerjax.loop.refit import forget
+from fingerjax.loop.verdict import sizes
+from fingerjax.loop.writing import error, written
+from fingerjax.measurements import Measurement
+from fingerjax.report.records import Row, Table, plain
+from fingerjax.runners.diagnosing import subject_of
+from fingerjax.study import Diagnose, Study, load_studies
+
+ROOT = Path(__file__).resolve().parents[1]
+STUDIES, PAGE, KEPT = ROOT / "fits" / "measured", ROOT / "docs" / "measured.md", ROOT / "build" / "measured"
+More = Callable[[Study, Findings], Iterator[Figure | Table]]
+FURTHER: Mapping[str, More] = {
+    "fingerpad": _fingerpad.more,
+    "table1": _table1.more,
+    "bar": _afferents.more,
+    "spheres": _afferents.more,
+}
+"""Study -> what it is there for, beyond the diagnosis."""
+
+SETS, FEW_SETS = 200, 20
+COARSER, EVERY = 1.6, 3
+FEW = ("contact_offset", "tip_radius", "rate_saturation", "receptive_field_pooling", "relaxation", "force_lag", "friction")
+"""Effects that `--quick` asks for, of those that a study's data can show."""
+
+
+def studies() -> dict[str, Path]:
+    """The studies there are, by name."""
+    return {file.stem: file for file in sorted(STUDIES.glob("*.yaml"))}
+
+
+def data() -> Path:
+    """The folder of measured data."""
+    named = os.environ.get("FINGERJAX_DATA")
+    return Path(named) if named else ROOT.parent / "shared" / "data"
+
+
+def loaded(file: Path, quick: bool = False) -> Study:
+    """A study with its data. **Raises** `SystemExit` with one line where these are not there."""
+    study = next(iter(load_studies(file, data()).values()))
+    if study.missing_data:
+        sys.exit(f"{study.name}: {', '.join(study.missing_data)} not in {data()}; set FINGERJAX_DATA to the folder that holds them")
+    return thinned(study) if quick else study
+
+
+def thinned(study: Study) -> Study:
+    """The same on a coarser mesh with every third reading of each condition and few effects."""
+    mesh = study.finger.resolution
+    coarser = mesh.model_copy(update={"pad_mm": COARSER * mesh.pad_mm, "proximal_mm": COARSER * mesh.proximal_mm})
+    asked = study.diagnose or Diagnose()
+    names = FEW if asked.effects == "all" else tuple(name for name in FEW if name in asked.effects)
+    return dataclasses.replace(
+        study,
+        finger=study.finger.model_copy(update={"resolution": coarser}),
+        measurements=tuple(_fewer(one) for one in study.measurements),
+        diagnose=dataclasses.replace(asked, effects=names),
+    )
+
+
+def _fewer(one: Measurement) -> Measurement:
+    apart = [one.table[name].astype(str) for name in ("subject", "condition", "trial", "stimulus", "depth") if name in one.table]
+    group = np.unique(np.column_stack([*apart, np.zeros(len(one), str)]), axis=0, return_inverse=True)[1].reshape(-1)
+    rank = np.array([int(np.sum(group[:row] == group[row])) for row in range(len(one))])
+    kept = (rank % EVERY == EVERY - 1) | (np.bincount(group)[group] < EVERY)
+    table = {name: column[kept] for name, column in one.table.items()}
+    return dataclasses.replace(one, table=table, sigma=None if one.sigma is None else one.sigma[kept], rows=one.rows[kept])
+
+
+def part(name: str, quick: bool) -> Iterator[Figure]:
+    """One study from its numbers to its figures; its record is kept for the page."""
+    began = time.perf_counter()
+    prepare()
+    study = loaded(studies()[name], quick)
+    asked = study.diagnose.effects if study.diagnose is not None else "all"
+    subject = subject_of(study, asked, tell=_teller(name))
+    findings = investigate(
+        subject, seed=0, effects="all", alpha=0.05, sets=FEW_SETS if quick else SETS, tell=_teller(name), kept=forget
+    )  # fmt: skip
+    record = plain(written(findings).record())
+    tables = [tried(findings)]
+    figures = list(_figures(name, record))
+    for found in FURTHER[name](study, findings) if name in FURTHER else ():
+        (tables if isinstance(found, Table) else figures).append(found)  # type: ignore[arg-type]
+    seconds = time.perf_counter() - began
+    figures.append(Figure(f"{name}: whole study", seconds, "s"))
+    keep(name, quick, {"notes": study.notes, "record": record, "tables": [dataclasses.asdict(one) for one in tables]})
+    yield from figures
+
+
+def _figures(name: str, record: Mapping[str, Any]) -> Iterator[Figure]:
+    """The errors of a diagnosis before and after, as shares of the data's root mean square."""
+    mesh = record["model"]["mesh"]
+    note = f"{mesh['nodes']} nodes, verdict {record['verdict']['kind']}"
+    for when, said in (("before", record["base"]), ("after", record["after"])):
+        for role in ("fit", "report"):
+            value = said["error"][role]
+            yield Figure(f"{name}: error {when}, {role}", math.nan if value is None else value, "1", note=note)
+
+
+def tried(findings: Findings) -> Table:
+    """Every model that was fitted, with its errors on what was fitted and on what was held out."""
+    base = error(findings, findings.base.best)
+    rows: list[Row] = [
+        {"added": "nothing", "size": "", "explained": 0.0, "error_fitted": base.fit, "error_held_out": base.report, "remark": ""}
+    ]
+    for one in findings.explanations:
+        if one.best.settled:
+            left = error(findings, one.best)
+            rows.append(
+                {
+                    "added": one.name.replace("_", " "),
+                    "size": sizes(one),
+                    "explained": one.eta,
+                    "error_fitted": left.fit,
+                    "error_held_out": left.report,
+                    "remark": one.reason,
+                }
+            )
+    note = "Explained: share of the squared misfit beyond the noise that is gone. Errors over the root mean square of the data."
+    return Table("tried", "Models that were fitted", rows, note)
+
+
+def _teller(name: str) -> Callable[[float, str], None]:
+    def tell(share: float, what: str) -> None:
+        print(f"{name} {share:4.0%} {what}", file=sys.stderr, flush=True)
+
+    return tell
+
+
+def _file(name: str, quick: bool) -> Path:
+    return KEPT / ("quick" if quick else "full") / f"{name}.json"
+
+
+def keep(name: str, quick: bool, found: Mapping[str, Any]) -> None:
+    """Write what a part found to where the page looks for it."""
+    file = _file(name, quick)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(plain(dict(found)), indent=1, allow_nan=False) + "\n")
+
+
+def told(figures: Sequence[Figure]) -> str:
+    """The page, from the figures and from what every part kept."""
+    found = {name: json.loads(_file(name, False).read_text()) for name in studies()}
+    return page(found, figures)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    run_parts({name: partial(part, name) for name in studies()}, __doc__, (PAGE, told), arguments)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""Studies of measured data: they are read, say what they need, and on a thinned set go all the way to the page."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks import _measured_page
+from benchmarks import measured as studies_of
+from benchmarks._measured_page import markdown, page
+from benchmarks._record import Figure
+from benchmarks._table1 import crossing, ratios
+from fingerjax.__main__ import app
+from fingerjax.report.records import Table
+from fingerjax.study import load_studies
+
+from .diagnosis_records import record
+
+NAMES = tuple(studies_of.studies())
+PUBLIC = ("table1",)
+"""Studies whose data are in a publication, and beside them."""
+SHARED = tuple(name for name in NAMES if name not in PUBLIC)
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a part finds is kept where no other run looks."""
+    monkeypatch.setattr(studies_of, "KEPT", tmp_path / "kept")
+
+
+@pytest.mark.parametrize("name", SHARED)
+@pytest.mark.parametrize("command", ["run", "diagnose"])
+def test_without_its_data_a_study_ends_with_one_line(name: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("FINGERJAX_DATA", raising=False)
+    ended = CliRunner().invoke(app, [command, str(studies_of.studies()[name]), "--out", str(tmp_path / "out")])
+    said = [line for line in ended.stderr.splitlines() if "measured data are not there" in line]
+    assert len(said) == 1 and ".csv" in said[0] and "--data" in said[0] and "your own table" in said[0], ended.stderr
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_study_reads_its_data(name: str, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FINGERJAX_DATA", str(measured))
+    whole = studies_of.loaded(studies_of.studies()[name])
+    assert whole.kind == "fit" and whole.notes and whole.diagnose is not None
+    assert all(one.sigma is not None or "trial" in one.table for one in whole.measurements), "nothing tells the noise"
+    few = studies_of.thinned(whole)
+    assert [one.name for one in few.measurements] == [one.name for one in whole.measurements]
+    for one, fewer in zip(whole.measurements, few.measurements, strict=True):
+        assert 0 < len(fewer) <= len(one)
+        for label in {"subject", "stimulus"} & set(one.table):
+            assert set(fewer.table[label].tolist()) == set(one.table[label].tolist())
+
+
+def test_ratios_of_table_1_are_the_published_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    study = next(iter(load_studies(studies_of.studies()["table1"]).values()))
+    assert ratios(study) == pytest.approx({"1": 23.59 / 5.29, "2": 24.73 / 2.74, "3": 11.82 / 3.34, "4": 17.46 / 2.65, "5": 13.35 / 4.55})
+
+
+def test_a_curve_is_crossed_where_it_is() -> None:
+    curve = [(-1.0, 8.0), (0.0, 6.0), (2.0, 2.0)]
+    assert crossing(curve, 7.0) == pytest.approx(-0.5) and crossing(curve, 3.0) == pytest.approx(1.5)
+    assert crossing(curve, 1.0) is None and crossing(curve, 9.0) is None
+
+
+def test_a_table_in_markdown_leaves_out_empty_columns() -> None:
+    table = Table("t", "T", [{"a_mm": 1.23456, "b": None, "c": "x|y"}, {"a_mm": None, "b": None, "c": True}])
+    assert markdown(table).splitlines() == ["| a, mm | c |", "| ---: | --- |", "| 1.23 | x/y |", "|  | yes |"]
+
+
+def test_the_page_is_made_from_records_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_measured_page, "PICTURES", tmp_path / "pictures")
+    more = Table("own", "A question of its own", [{"subject": "1", "needed": 0.25}], "How much it would take.")
+    found = {name: {"notes": f"About {name}.", "record": record(), "tables": [dataclasses.asdict(more)]} for name in ("lab", "other")}
+    text = page(found, [Figure(f"{name}: whole study", 90.0, "s") for name in found])
+    assert text.count("## A question of its own") == 2 and "About lab." in text and "(3 min on" in text
+    assert "nail compliance" in text and "pictures/measured_lab.svg" in text
+    assert (tmp_path / "pictures" / "measured_lab.svg").read_text().lstrip().startswith("<?xml")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_thinned_study_goes_all_the_way(name: str, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FINGERJAX_DATA", str(measured))
+    figures = {one.figure: one.value for one in studies_of.part(name, True)}
+    kept = json.loads((studies_of.KEPT / "quick" / f"{name}.json").read_text())
+    assert kept["record"]["base"]["converged"] and kept["record"]["verdict"]["kind"]
+    assert np.isfinite(figures[f"{name}: error before, fit"]) and figures[f"{name}: whole study"] > 0
