@@ -20,7 +20,7 @@ TIMES, SHARE = 3.0, 0.10
 def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
     """Curves, models, and the forces that were held out."""
     yield Table("curves", "Each force curve by itself", list(_curves(study, findings)), CURVES)
-    before, after = (held_out(study, findings, best) for best in (findings.base.best, findings.last.best))
+    before, after = (held_out(study, findings, best) for best in (findings.base.best, findings.closest.best))
     yield Figure(f"{study.name}: held-out forces, error before", before, "1")
     yield at_most(f"{study.name}: held-out forces, error after", after, "1", SHARE)
     yield at_least(f"{study.name}: held-out forces, times smaller after", before / after, "1", TIMES)
@@ -29,13 +29,13 @@ def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
 CURVES = (
     "Error over the root mean square of each curve: of the best straight line through zero; of the linear finger's own curve with the best "
     "stiffness for this curve alone, which knows how contact grows; of the base model, one stiffness for a subject; and of the model in "
-    "the end. Stiffness: the best for this curve alone, over the subject's."
+    "the end, the nearest of the catalogue where none is named. Stiffness: the best for this curve alone, over the subject's."
 )
 
 
 def _curves(study: Study, findings: Findings) -> Iterator[Row]:
     rows, sample = findings.subject.rows, findings.base.best.sample
-    before, after = (each.at.prediction + each.sample.offset for each in (findings.base.best, findings.last.best))
+    before, after = (each.at.prediction + each.sample.offset for each in (findings.base.best, findings.closest.best))
     for one in study.measurements:
         if one.kind != "force_displacement":
             continue

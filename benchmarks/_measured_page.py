@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks._record import Figure, machine
 from fingerjax.report import loop_figures, loop_tables, loop_words
-from fingerjax.report.loop_record import Record
+from fingerjax.report.loop_record import Record, nearest
 from fingerjax.report.records import Table
 from fingerjax.report.tables import heading, shown
 
@@ -54,21 +54,24 @@ def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure]) -> s
 
 def _study(name: str, kept: Mapping[str, Any]) -> dict[str, Any]:
     record: Record = kept["record"]
+    ends = nearest(record) or record
     return {
         "notes": kept["notes"],
         "record": record,
+        "after": ends["after"],
+        "added": (record.get("nearest") or record["verdict"])["families"],
         "verdict": loop_words.verdict(record),
         "mesh": record["model"]["mesh"],
         "lof": record["base"]["lof"],
         "tables": {one["name"]: Table(**one) for one in kept["tables"]},
-        "errors": _columns(loop_tables.errors(record), "errors"),
-        "parameters": _columns(loop_tables.parameters(record), "parameters"),
+        "errors": _columns(loop_tables.errors(ends), "errors"),
+        "parameters": _columns(loop_tables.parameters(ends), "parameters"),
         "effects": _columns(_first(loop_tables.effects(record), EFFECTS), "effects"),
         "refits": _columns(loop_tables.refits(record), "refits"),
         "alike": _first(loop_tables.look_alikes(record), PAIRS),
         "next": loop_tables.next_experiments(record),
         "hidden": loop_tables.hidden(record),
-        "picture": _drawn(name, record),
+        "picture": _drawn(name, ends),
     }
 
 

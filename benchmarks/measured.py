@@ -122,7 +122,7 @@ def _figures(name: str, record: Mapping[str, Any]) -> Iterator[Figure]:
     """The errors of a diagnosis before and after, as shares of the data's root mean square."""
     mesh = record["model"]["mesh"]
     note = f"{mesh['nodes']} nodes, verdict {record['verdict']['kind']}"
-    for when, said in (("before", record["base"]), ("after", record["after"])):
+    for when, said in (("before", record["base"]), ("after", (record["nearest"] or record)["after"])):
         for role in ("fit", "report"):
             value = said["error"][role]
             yield Figure(f"{name}: error {when}, {role}", math.nan if value is None else value, "1", note=note)

@@ -22,13 +22,14 @@ from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
 from .explanations import Explanation, Inquiry
 from .findings import Findings
 from .meshguard import MeshGuard, correction, guard, leftover, share_left, unchecked
+from .nearest import nearest
 from .noise import Noise, estimate, outliers
 from .record import Diagnosis, Planted
 from .refit import Keep, Optimum, forget, optimum
 from .sample import Sample
 from .separate import Rival, next_experiments
 from .subject import NONE, AbstractSubject, Family
-from .verdict import Verdict, asks_for_effects, decide
+from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide
 from .writing import written
 
 Tell = Callable[[float, str], object]
@@ -69,18 +70,20 @@ def investigate(
     noise, best, mesh = _base(subject, chosen, kept)
     base, columns = _looked(best, families, alpha, seed)
     singles, pairs = [], []
+    inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.6))
     if asks_for_effects(noise, base):
-        inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.7))
         singles = inquiry.singles()
         if not any(one.in_set for one in singles):
             pairs = inquiry.pairs(singles)
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)
+    inquiry.tell = _part(tell, 0.7, 0.1)
+    closest = nearest(inquiry, [*singles, *pairs]) if verdict.kind == UNEXPLAINED else None
     tell(0.8, "what to measure next")
     after = next_experiments(best, _rivals(base, verdict, singles), columns) if best.settled else []
     alarms, grown = _checked(base, families, columns, noise, mesh, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))
     return Findings(
         subject, families, roles, noise, mesh, base, columns, [*singles, *pairs], verdict, after, alarms, grown, seed,
-        time.perf_counter() - started,
+        time.perf_counter() - started, closest,
     )  # fmt: skip
 
 

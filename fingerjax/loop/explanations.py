@@ -220,6 +220,14 @@ class Inquiry:
                         found[frozenset(names)] = pair
         return sorted(found.values(), key=lambda one: -_number(one.delta))
 
+    def enlarged(self, lead: Explanation) -> Iterator[Explanation]:
+        """An explanation with each of the effects that its own residual asks for most."""
+        for node in self._rivals(lead):
+            fit = self._added(lead, node)
+            if fit.settled:
+                family = node.columns[0].family
+                yield self._explained((*lead.families, family), fit, {family: lead.best.rss})
+
     def _rivals(self, lead: Explanation) -> list[Node]:
         """What the residual of a lead asks for most, of what could be told from the base parameters at all."""
         scores = [score for score in lead.look.ranking.testable if self.base.ranking[score.family.name].testable]

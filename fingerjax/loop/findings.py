@@ -23,6 +23,7 @@ class Findings:
     """The parts of a diagnosis.
 
     - `columns`: key -> (rows,) of the subject at the base fit. `last`: what the model says in the end: the base where nothing is named.
+    - `nearest`: where nothing explains the data, the model of the catalogue that comes nearest; None where there is none.
     """
 
     subject: AbstractSubject
@@ -39,7 +40,13 @@ class Findings:
     planted: list[Planted]
     seed: int
     seconds: float
+    nearest: Explanation | None = None
 
     @property
     def last(self) -> Look:
         return self.verdict.members[0].look if self.verdict.members else self.base
+
+    @property
+    def closest(self) -> Look:
+        """The same, but where nothing is named the nearest model of the catalogue."""
+        return self.nearest.look if self.nearest is not None else self.last

@@ -246,6 +246,15 @@ class AfterRecord:
 
 
 @dataclass(frozen=True)
+class Nearest:
+    """Where nothing explains the data: the effects that bring the model nearest, none of them named, and what it says with them."""
+
+    families: list[str]
+    share_explained: float
+    after: AfterRecord
+
+
+@dataclass(frozen=True)
 class Unexplained:
     """The residual as a picture. `gp`: block -> amplitude, length, `mean` and `band` of each of its rows, in the block's unit;
     `share`: by block, by condition and by coordinate; `symmetry`: block -> share of the misfit that is odd about the middle;
@@ -280,6 +289,7 @@ class BlockRows:
     after: list[float]
     condition: list[str]
     role: list[str]
+    nearest: list[float] | None = None
 
 
 @dataclass(frozen=True)
@@ -301,6 +311,7 @@ class Diagnosis:
     seed: int
     runtime_s: float
     rows: dict[str, BlockRows]
+    nearest: Nearest | None = None
 
     def record(self) -> dict[str, Any]:
         """The diagnosis as JSON has it."""

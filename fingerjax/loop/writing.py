@@ -20,6 +20,8 @@ from .score import Score
 from .subject import ROLES
 from .verdict import ADEQUATE, AMBIGUOUS, ATTRIBUTED
 
+CONDITIONAL = "inflated: conditional on a model that these data contradict"
+
 
 def written(found: Findings) -> record.Diagnosis:
     """The diagnosis of a subject."""
@@ -47,6 +49,7 @@ def written(found: Findings) -> record.Diagnosis:
         seed=found.seed,
         runtime_s=found.seconds,
         rows=_rows(found),
+        nearest=_nearest(found),
     )
 
 
@@ -192,14 +195,30 @@ def _after(found: Findings) -> record.AfterRecord:
     return record.AfterRecord(theta, phi, error(found, last.best), moved, _interval_kind(found, looks))
 
 
+def _nearest(found: Findings) -> record.Nearest | None:
+    if found.nearest is None:
+        return None
+    look, nu = found.nearest.look, found.noise.dof
+    best = look.best
+    said = record.AfterRecord(
+        intervals.parameters(best, look.adequacy, found.mesh, nu),
+        intervals.effects(best, look.adequacy, found.mesh, nu),
+        error(found, best),
+        intervals.change(found.base.best, best, found.base.adequacy, found.mesh),
+        CONDITIONAL,
+    )
+    return record.Nearest(list(found.nearest.families), found.nearest.eta, said)
+
+
 def _interval_kind(found: Findings, looks: Sequence[object]) -> str:
     if found.verdict.kind in (ADEQUATE, ATTRIBUTED, AMBIGUOUS) or not found.last.adequacy.rejected:
         return "hull" if len(looks) > 1 else "one explanation"
-    return "inflated: conditional on a model that these data contradict"
+    return CONDITIONAL
 
 
 def _rows(found: Findings) -> dict[str, record.BlockRows]:
     rows, before, after = found.subject.rows, found.base.best, found.last.best
+    closest = None if found.nearest is None else found.nearest.best
     said = {}
     for name, where in rows.blocks.items():
         coordinates = {key: [float(value) for value in values] for key, values in rows.coordinates.get(name, {}).items()}
@@ -213,5 +232,6 @@ def _rows(found: Findings) -> dict[str, record.BlockRows]:
             (after.at.prediction + after.sample.offset)[where].tolist(),
             conditions,
             [found.roles[condition] for condition in conditions],
+            None if closest is None else (closest.at.prediction + closest.sample.offset)[where].tolist(),
         )
     return said

@@ -80,7 +80,7 @@ PLANS: dict[str, Plan] = {
         "What remains unexplained",
         loop_words.about_rest,
         _remainders,
-        (loop_tables.by_condition, loop_tables.shares, loop_tables.patterns),
+        (loop_tables.nearest_errors, loop_tables.nearest_parameters, loop_tables.by_condition, loop_tables.shares, loop_tables.patterns),
     ),
     "mesh": Plan("Could it be the mesh?", loop_words.about_mesh, tables=(loop_tables.mesh,)),
     "noise": Plan("Noise", loop_words.about_noise, tables=(loop_tables.noise, loop_tables.conditions)),

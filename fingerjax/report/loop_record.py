@@ -172,6 +172,15 @@ def named(record: Record) -> list[str]:
     return [str(one) for one in (record.get("verdict") or {}).get("families") or []]
 
 
+def nearest(record: Record) -> Record | None:
+    """The record as if it ended with the nearest model of the catalogue, where it ends with none; None where it has no such model."""
+    said = record.get("nearest")
+    if not isinstance(said, Mapping):
+        return None
+    rows = {name: {**each, "after": each.get("nearest")} for name, each in (record.get("rows") or {}).items()}
+    return {**record, "after": said["after"], "rows": rows}
+
+
 def explanations(record: Record) -> list[str]:
     """Families in the set of explanations, those of a pair (`a + b`) one by one."""
     return list(dict.fromkeys(one for each in record.get("set") or [] for one in str(each).split(" + ")))

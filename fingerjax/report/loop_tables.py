@@ -16,11 +16,12 @@ from fingerjax.report.loop_record import (
     explanations,
     interval,
     maybe,
+    nearest,
     number,
     value_of,
     wrong_way,
 )
-from fingerjax.report.loop_words import remedy, short, spoken
+from fingerjax.report.loop_words import listed, remedy, short, spoken
 from fingerjax.report.records import Row, Table
 
 
@@ -28,6 +29,21 @@ def errors(record: Record) -> Table:
     """Errors before and after by measurement, fitted and held out."""
     note = "Root mean squares of data - model: as shares of the data's own, and over the noise (1: noise alone)."
     return Table("loop_errors", "Error before and after", error_rows(record), note)
+
+
+def nearest_errors(record: Record) -> Table:
+    """The same for the nearest model of the catalogue; no rows where there is none."""
+    said = nearest(record)
+    title = f"Error before, and with {listed(record['nearest']['families'])}" if said is not None else ""
+    return Table("loop_nearest_errors", title, error_rows(said) if said is not None else [], errors(record).note)
+
+
+def nearest_parameters(record: Record) -> Table:
+    """Parameters before, and of the nearest model of the catalogue."""
+    said = nearest(record)
+    note = "The intervals are widened by what remains. This model is contradicted too: none of its effects is named."
+    title = "Parameters before, and of the nearest model, with 95 % intervals"
+    return Table("loop_nearest_parameters", title, parameter_rows(said) if said is not None else [], note)
 
 
 def effects(record: Record) -> Table:

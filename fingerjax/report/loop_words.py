@@ -217,6 +217,12 @@ def about_rest(record: Record) -> list[str]:
     if rows:
         worst = max(rows, key=lambda row: row["after_over_noise"])
         said.append(f"Most remains in {worst['measurement']}, {worst['condition']}: {short(worst['after_over_noise'])} times its noise.")
+    if record.get("nearest"):
+        said.append(
+            f"The catalogue comes nearest with {listed(record['nearest']['families'])}: that removes "
+            f"{share(record['nearest'].get('share_explained'))} of the misfit beyond noise. It is how far the catalogue goes, not a cause: "
+            "this model is contradicted by the data too."
+        )
     if (record.get("unexplained") or {}).get("gp"):
         said.append(
             "The smooth line is the part of what remains that no change of the parameters could take away, drawn for the conditions that "

@@ -1,0 +1,28 @@
+"""The nearest model of the catalogue where none explains the data: effects are added one at a time, for as long as each is worth it.
+
+Nothing of it is named. It says how far the catalogue goes, how well it foretells what was held out, and what is left then:
+
+    start   the sound explanation that removes most
+    add     what its residual asks for, refitted; kept where it is sound and removes a tenth of what was left
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .explanations import Explanation, Inquiry
+
+MOST = 4  # effects
+WORTH = 0.1  # share of the misfit that another effect must remove
+
+
+def nearest(inquiry: Inquiry, found: Sequence[Explanation], most: int = MOST) -> Explanation | None:
+    """The nearest model, from the explanations by one and by two effects; None where no effect is sound."""
+    best = max((one for one in found if one.sound), key=lambda one: one.delta, default=None)
+    while best is not None and len(best.families) < most:
+        inquiry.tell(len(best.families) / most, f"{best.name} with one effect more")
+        tried = [one for one in inquiry.enlarged(best) if one.sound and best.best.rss - one.best.rss > WORTH * best.best.rss]
+        if not tried:
+            break
+        best = max(tried, key=lambda one: one.delta)
+    return best
