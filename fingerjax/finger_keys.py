@@ -43,10 +43,11 @@ class Nail(Strict):
 
 
 class MeshResolution(Strict):
-    """Node spacing in mm: on the pad, and at the proximal cut."""
+    """Node spacing in mm: on the pad, and at the proximal cut; under sharp indenters and at receptors it is not smaller than `least_mm`."""
 
     pad_mm: Positive = 0.5
     proximal_mm: Positive = 2.0
+    least_mm: Positive | None = None
 
 
 class BoneKeys(Strict):

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from fingerjax.fem.body import material
 from fingerjax.fem.cholesky import Cholesky
 from fingerjax.fem.columns import columns_from_matrix
-from fingerjax.fem.condensed import ByColumns, ByFactor, probe
+from fingerjax.fem.condensed import ByColumns, ByFactor, Stiffer, first_like, probe
 from fingerjax.fem.factorised import PARTIAL_FROM
 from fingerjax.fem.recovery import strain_columns
 from fingerjax.fem.solver import direct_available, solver_for
@@ -50,6 +50,22 @@ def test_both_solvers_condense_to_the_same(body, every):
     loads = jnp.asarray(np.random.default_rng(1).normal(size=(2, *body.nodes.shape))) * body.free[:, None]
     one, other = iterated.readings(loads), factored.readings(loads)
     np.testing.assert_allclose(other, one, atol=1e-7 * float(jnp.abs(one).max()))
+
+
+def test_a_material_in_proportion_takes_the_solves_of_another(body):
+    columns, solver = columns_of(body, 9), solver_for(body, "multigrid")
+    lame = SKIN.lame()
+    softer, thrice = lame.at[:, 1].multiply(0.5), lame.at[:, :4].multiply(3.0)  # no element is bone
+    assert first_like(body, [lame, softer, thrice], 0) == (0, 1.0) and first_like(body, [lame, softer, thrice], 1) == (1, 1.0)
+    like, times = first_like(body, [lame, softer, thrice], 2)
+    assert (like, times) == (0, pytest.approx(3.0, rel=1e-14))
+    own, taken = solver.condense(body, thrice, columns), Stiffer(solver.condense(body, lame, columns), times, thrice)
+    assert bool((taken.held.lame == thrice).all())
+    forces = jnp.asarray(np.random.default_rng(0).normal(size=(2, columns.count)))
+    loads = jnp.asarray(np.random.default_rng(1).normal(size=(2, *body.nodes.shape))) * body.free[:, None]
+    for ask in (lambda one: one.held.matrix, lambda one: one.displacement(forces), lambda one: one.readings(loads), lambda one: one.answer(loads)):
+        mine, theirs = np.asarray(ask(own)), np.asarray(ask(taken))
+        np.testing.assert_allclose(theirs, mine, atol=1e-7 * np.abs(mine).max())
 
 
 @needs_direct

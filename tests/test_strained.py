@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +22,7 @@ from fingerjax.forward.strained import Strained, place_of, strained_readings
 from fingerjax.forward.strained_slopes import law_tangent, strained_jacobian
 
 from .helpers import DIFFERENCED, SOLVED, Grade
-from .test_forward import OF, at, imposing, solver_kind, study_of
+from .test_forward import OF, PLATE, at, imposing, solver_kind, study_of
 
 B = jnp.asarray([6.0, 6.0, 0.0, 0.0, 0.0])
 STIFFENING = Exponential(FiniteStrain(), B)
@@ -132,6 +133,28 @@ def test_slopes_at_strained_states_match_differences(everything: Assembled) -> N
         ends = (strained_readings(everything.model, *of(here.at[parameter].add(s)), start=found, chording=TIGHT) for s in (h, -h))
         up, down = (rows(each) for each in ends)
         DIFFERENCED.check(slopes[:, parameter], (up - down) / (2 * h))
+
+
+@needs_direct
+def test_fingers_in_proportion_share_their_shapes(tmp_path: Path) -> None:
+    """One search and one tangent for both, with forces and slopes in proportion, as each by itself has them."""
+    pressed = [{"subject": name, "displacement_mm": d, "force_N": 0.1} for name in "ab" for d in (0.3, 0.6)]
+    ready = assemble(study_of(tmp_path, {"plate": (PLATE, pressed)}, {"free": ["stiffness"], "per": {"stiffness": "subject"}}), solver=solver_kind())
+
+    def given(vector: jnp.ndarray) -> tuple[dict, AbstractTissue]:
+        return {"stiffness[a]": jnp.exp(vector[0]), "stiffness[b]": jnp.exp(vector[1])}, law(jnp.stack([vector[2], vector[3], vector[3]]))
+
+    here = jnp.asarray([0.0, np.log(2.5), 0.9, 5.0])
+    found = strained_readings(ready.model, *given(here), chording=TIGHT)
+    force, iterations = rows(found), [ended.iterations for ended in found.cases[0]]
+    SAME_STATE.check(force[2:], 2.5 * force[:2])
+    assert max(iterations[2:]) <= 3 < min(iterations[:2]) and found.prediction.health.converged
+    slopes = np.asarray(strained_jacobian(ready.model, given, here, found))
+    SAME_STATE.check(slopes[2:, 1], force[2:])
+    assert not slopes[:2, 1].any() and not slopes[2:, 0].any()
+    SAME_STATE.check(slopes[2:, 2:], 2.5 * slopes[:2, 2:])
+    up, down = (rows(strained_readings(ready.model, *given(here.at[3].add(s)), start=found, chording=TIGHT)) for s in (1e-3, -1e-3))
+    DIFFERENCED.check(slopes[:, 3], (up - down) / 2e-3)
 
 
 @needs_direct

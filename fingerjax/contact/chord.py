@@ -25,7 +25,7 @@ from .._results import RESULTS
 from ..fem.carried import admissible
 from ..fem.cholesky import Indefinite
 from ..fem.columns import Columns
-from ..fem.condensed import AbstractCondensed
+from ..fem.condensed import AbstractCondensed, Stiffer
 from ..fem.energy import energy_and_force
 from ..fem.equilibrium import Tissue
 from ..fem.stiffness import tangent
@@ -60,14 +60,11 @@ class Place:
 
 
 class Chord:
-    """A stiffness that is kept: a condensed body `times` as stiff, and which of its columns, `own` (p,), a place's are.
+    """A stiffness that is kept: a condensed body, and which of its columns, `own` (p,), a place's are. Lives outside of compiled code."""
 
-    Lives outside of compiled code.
-    """
-
-    def __init__(self, condensed: AbstractCondensed, own: np.ndarray, times: float = 1.0):
-        self.condensed, self.own, self.times = condensed, own, times
-        self.compliance = condensed.held.matrix[np.ix_(own, own)] / times
+    def __init__(self, condensed: AbstractCondensed, own: np.ndarray):
+        self.condensed, self.own = condensed, own
+        self.compliance = condensed.held.matrix[np.ix_(own, own)]
 
     @classmethod
     def of(cls, condensed: Callable[[], AbstractCondensed], own: np.ndarray) -> Chord | None:
@@ -77,15 +74,11 @@ class Chord:
 
     def stiffer(self, times: float) -> Chord:
         """The same body, so many times as stiff."""
-        return self if times == 1.0 else Chord(self.condensed, self.own, times * self.times)
-
-    def answer(self, loads: Float[Array, "m nodes 3"]) -> Float[Array, "m nodes 3"]:
-        """Displacements, mm, under nodal forces, N."""
-        return self.condensed.answer(loads) / self.times
+        return self if times == 1.0 else Chord(Stiffer(self.condensed, times), self.own)
 
     def __call__(self, load: np.ndarray) -> np.ndarray:
         """Displacement (3n,), mm, under nodal forces (3n,), N."""
-        return np.asarray(self.answer(jnp.asarray(load).reshape(1, -1, 3))).ravel()
+        return np.asarray(self.condensed.answer(jnp.asarray(load).reshape(1, -1, 3))).ravel()
 
 
 def tangent_chord(tissue: Tissue, place: Place, u: np.ndarray) -> Chord | None:

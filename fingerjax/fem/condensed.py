@@ -9,7 +9,7 @@ stiffness and one more answer for each indentation and each way in which the mat
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -124,6 +124,40 @@ class ByFactor(AbstractCondensed):
         held = self._solve(loads[:, self._free].T)
         motions = np.asarray(self.bone.motions).reshape(len(self.bone.motions), loads.shape[1])
         return self.bone.complete(jnp.asarray(held), jnp.asarray(motions @ loads.T))
+
+
+class Stiffer(AbstractCondensed):
+    """A condensed body with its constants so many `times` as large, `lame` where they are known: every answer is that much smaller."""
+
+    def __init__(self, condensed: AbstractCondensed, times: float, lame: Lame | None = None):
+        held = condensed.held
+        constants = held.lame * times if lame is None else jnp.asarray(lame)
+        self.held = eqx.tree_at(lambda part: (part.matrix, part.lame), held, (held.matrix / times, constants))
+        self._condensed, self._times = condensed, times
+
+    def displacement(self, forces: Float[Array, "k m"]) -> Fields:
+        return self._condensed.displacement(forces) / self._times
+
+    def readings(self, loads: Fields) -> Float[Array, "k m"]:
+        return self._condensed.readings(loads) / self._times
+
+    def answer(self, loads: Fields) -> Fields:
+        return self._condensed.answer(loads) / self._times
+
+
+def first_like(body: Body, lames: Sequence[Lame], variant: int) -> tuple[int, float]:
+    """The first of some materials whose constants are all in proportion to those of a variant, and how many times stiffer the variant is.
+
+    Under a given travel both take one shape. The variant itself where none is, or where springs that do not change hold the body too.
+    """
+    if body.springs is not None:
+        return variant, 1.0
+    layers = np.unique(np.asarray(body.layer))
+    sizes = [np.asarray(lame, float)[:, layers].ravel() for lame in lames[: variant + 1]]
+    lengths = [float(np.linalg.norm(size)) for size in sizes]
+    own = sizes[variant] / lengths[variant]
+    like = next(number for number, size in enumerate(sizes) if np.allclose(size / lengths[number], own, rtol=1e-12, atol=0.0))
+    return like, lengths[variant] / lengths[like] if like < variant else 1.0
 
 
 def probe(columns: Columns, condensed: AbstractCondensed) -> float:

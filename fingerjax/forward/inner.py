@@ -31,7 +31,7 @@ Force = Callable[[Float[Array, "2 layers"], Field], Field]
 def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float[Array, "rows d"]:
     """Slopes of every row, measurement after measurement, in amounts of internal forces that the linear model lacks."""
     lames = [material.lame() for material in model.instruments.materials(values)]
-    bodies = [model.solver.condense(model.body, lame, model.columns) for lame in lames]
+    bodies = model.condensed(lames)
 
     def change(variant: int, condensed: AbstractCondensed, pushed: Float[Array, "k m"]) -> Array:
         found = [condensed.readings(jnp.stack([force(lames[variant], u) for force in forces])) for u in condensed.displacement(pushed)]

@@ -7,7 +7,7 @@ that each indentation is a small dense contact problem, and each reading a produ
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -20,6 +20,8 @@ from ..effects.added import NONE, Effects
 from ..errors import InputError
 from ..fem.body import Body, body
 from ..fem.columns import Columns, columns_from_matrix
+from ..fem.condensed import AbstractCondensed, Stiffer, first_like
+from ..fem.operator import Lame
 from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
 from ..geometry.sections import LayeredSolid
@@ -53,9 +55,17 @@ class Model(eqx.Module):
     def solved(self, values: Values, *, moving: tuple[str, ...] = ()) -> Solved:
         """The model with its solves and contacts at these values done: it holds there, and so do derivatives in the `moving` names."""
         lame = [tissue.lame() for tissue in self.instruments.materials(values)]
-        bodies = [self.solver.condense(self.body, each, self.columns) for each in lame]
+        bodies = self.condensed(lame)
         known = settle(self.instruments.rigs, bodies, self.body, self._directions(values, moving), self.instruments.added, values)
         return Solved(self.instruments, known)
+
+    def condensed(self, lame: Sequence[Lame]) -> list[AbstractCondensed]:
+        """The body at each of these materials; those in proportion to an earlier one take its solves."""
+        bodies: list[AbstractCondensed] = []
+        for variant, each in enumerate(lame):
+            like, times = first_like(self.body, lame, variant)
+            bodies.append(self.solver.condense(self.body, each, self.columns) if like == variant else Stiffer(bodies[like], times, each))
+        return bodies
 
     def predict(self, values: Values, quantity: str = "strain_energy_density") -> Prediction:
         """All readings at these values, compiled."""
@@ -233,7 +243,8 @@ def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: 
     _check_labels(study, wired)
     planned = plans(study.measurements, solid, wired)
     tell(0.9, "meshing")
-    finger = mesh_of(study, solid, foci(planned, solid, study.finger.resolution.pad_mm) if focused else (), size)
+    asked = study.finger.resolution
+    finger = mesh_of(study, solid, foci(planned, solid, asked.pad_mm, asked.least_mm or 0.0) if focused else (), size)
     return lay_out(study, solid, finger, wired, solver)
 
 

@@ -156,8 +156,10 @@ PROBE_SPACING = 0.25  # of the probe's radius
 RECEPTOR_SPACING, RECEPTOR_PATCH = 0.25, 1.4  # of its depth: strain that deep varies over as much as the depth, along the skin and down
 
 
-def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[Focus, ...]:
-    """Where the mesh must be finer than the pad's own spacing: under wedges, under probes smaller than it, and around receptors."""
+def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float, least: float = 0.0) -> tuple[Focus, ...]:
+    """Where the mesh must be finer than the pad's own spacing, down to the `least`: under wedges, under probes smaller than it, and around
+    receptors.
+    """
     found: dict[Focus, None] = {}
     for plan in planned:
         if plan.measurement.kind == "spike_rate":
@@ -169,7 +171,8 @@ def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float) -> tuple[
             elif isinstance(plan.indenter, (Point, FlatCylinder)):
                 radius = float(plan.indenter.radius)
                 found[Focus("point", z, _theta(solid, x, z), PROBE_SPACING * radius, radius, growth=1.0)] = None
-    return tuple(focus for focus in found if focus.size < pad_spacing)
+    clipped = dict.fromkeys(dataclasses.replace(focus, size=max(focus.size, least)) for focus in found)
+    return tuple(focus for focus in clipped if focus.size < pad_spacing)
 
 
 def _theta(solid: LayeredSolid, x: float, z: float) -> float:

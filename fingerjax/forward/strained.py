@@ -11,7 +11,7 @@ the displacement gradient.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ from ..contact.indentation import Contact
 from ..contact.strained import Indenting
 from ..effects.records import Push
 from ..fem.columns import Columns
-from ..fem.condensed import AbstractCondensed
+from ..fem.condensed import AbstractCondensed, first_like
 from ..fem.equilibrium import Newton, State, Tissue, find
 from ..fem.tissue import AbstractTissue
 from .model import Model
@@ -88,7 +88,7 @@ def strained_readings(
     cases: list[list[Ended | None]] = [[None] * len(rig.pose) for rig in rigs]
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
     linear = {number: _once(partial(model.solver.condense, model.body, one.lame, model.columns)) for number, one in enumerate(tissues)}
-    likes = [first_like(tissues, variant) for variant in range(len(tissues))]
+    likes = [first_like(model.body, [one.lame for one in tissues], variant)[0] for variant in range(len(tissues))]
     for variant, (tissue, like) in enumerate(zip(tissues, likes, strict=True)):
         condensed = linear[like] if like in likes[variant + 1 :] else linear.pop(like)
         for number, rig in enumerate(rigs):
@@ -122,19 +122,6 @@ def imposed_on(model: Model, values: Values, rig: Rig, case: int) -> Imposed:
         raise ValueError("an apparatus that gives way is not computed together with nonlinear tissue")
     value = float(push.imposed)
     return Imposed(None, value) if rig.forced else Imposed(value, None)
-
-
-def first_like(tissues: Sequence[Tissue], variant: int) -> int:
-    """The first of the tissues whose constants are all the same number of times those of a variant; the variant itself where none is.
-
-    Under a given travel both take one shape, with forces so many times as large, unless springs that do not change hold them too.
-    """
-    if tissues[variant].body.springs is not None:
-        return variant
-    layers = np.unique(np.asarray(tissues[variant].body.layer))
-    sizes = [np.asarray(tissue.lame, float)[:, layers].ravel() for tissue in tissues[: variant + 1]]
-    own = sizes[variant] / np.linalg.norm(sizes[variant])
-    return next(number for number, size in enumerate(sizes) if np.allclose(size / np.linalg.norm(size), own, rtol=1e-12, atol=0.0))
 
 
 def twin(rig: Rig, case: int, variant: int) -> int | None:

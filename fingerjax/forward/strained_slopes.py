@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from ..contact.chord import Chord, Place, Resting, tangent_chord
 from ..contact.strained import contact_slopes
 from ..fem.body import Body
-from ..fem.condensed import AbstractCondensed
+from ..fem.condensed import AbstractCondensed, first_like
 from ..fem.energy import internal_force
 from ..fem.equilibrium import Tissue
 from ..fem.operator import Lame
@@ -31,7 +31,7 @@ from .pressing import Known, settle_with
 from .problem import Health
 from .readings import Instruments
 from .rigs import Rig
-from .strained import Strained, first_like, imposed_on, place_of, rig_readings, twin
+from .strained import Strained, imposed_on, place_of, rig_readings, twin
 from .wiring import Values
 
 Vector = Float[Array, " d"]
@@ -47,7 +47,7 @@ def law_tangent(model: Model, values: Values, law: Law, null: Vector) -> Float[A
     where the law is not linear at `null`.
     """
     lames = [material.lame() for material in model.instruments.materials(values)]
-    bodies = [model.solver.condense(model.body, lame, model.columns) for lame in lames]
+    bodies = model.condensed(lames)
 
     def change(variant: int, condensed: AbstractCondensed, forces: Float[Array, "k m"]) -> Array:
         u = condensed.displacement(forces)
@@ -111,12 +111,11 @@ def strained_jacobian(model: Model, of: Of, at: Vector, found: Strained) -> Floa
 def _of_one_shape(rig: Rig, tissues: Sequence[Tissue]) -> dict[int, list[tuple[int, float]]]:
     """Cases of one shape under the first of them: each with how many times as stiff its tissue is."""
     found: dict[int, list[tuple[int, float]]] = {}
-    shear = [float(tissue.lame[1, int(tissue.body.layer[0])]) for tissue in tissues]
     for variant in range(len(tissues)):
-        like = first_like(tissues, variant)
+        like, stiffer = first_like(tissues[0].body, [tissue.lame for tissue in tissues], variant)
         for case in np.flatnonzero(np.asarray(rig.variant) == variant).tolist():
             other = None if like == variant else twin(rig, case, like)
-            first, times = (case, 1.0) if other is None else (other, shear[variant] / shear[like])
+            first, times = (case, 1.0) if other is None else (other, stiffer)
             found.setdefault(first, []).append((case, times))
     return found
 
@@ -128,7 +127,7 @@ def _case_slopes(
     variant, nodes = int(rig.variant[case]), model.columns.nodes
     u = jnp.asarray(rest.displacement).reshape(nodes, 3)
     force, push = _forces(model, of, at, variant, u)
-    moved = chord.answer(-push)
+    moved = chord.condensed.answer(-push)
     free = place.matrix.T @ (rest.displacement - chord(np.asarray(force).ravel()))
     travel, pressed = imposed_on(model, of(at)[0], rig, case)
     change, travels = contact_slopes(
@@ -140,7 +139,7 @@ def _case_slopes(
         None if pressed is None else jnp.asarray(pressed),
     )
     load = (place.matrix @ np.asarray(change).T).T
-    more = chord.answer(jnp.asarray(load).reshape(-1, nodes, 3))
+    more = chord.condensed.answer(jnp.asarray(load).reshape(-1, nodes, 3))
     read = (model.columns.matrix().T @ np.asarray(moved + more).reshape(len(load), -1).T).T
     return np.column_stack([read, load[:, 1::3].sum(axis=1), np.asarray(travels)])
 
