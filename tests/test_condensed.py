@@ -63,8 +63,8 @@ def test_a_material_in_proportion_takes_the_solves_of_another(body):
     assert bool((taken.held.lame == thrice).all())
     forces = jnp.asarray(np.random.default_rng(0).normal(size=(2, columns.count)))
     loads = jnp.asarray(np.random.default_rng(1).normal(size=(2, *body.nodes.shape))) * body.free[:, None]
-    for ask in (lambda one: one.held.matrix, lambda one: one.displacement(forces), lambda one: one.readings(loads), lambda one: one.answer(loads)):
-        mine, theirs = np.asarray(ask(own)), np.asarray(ask(taken))
+    for what in (lambda one: one.held.matrix, lambda one: one.displacement(forces), lambda one: one.readings(loads)):
+        mine, theirs = np.asarray(what(own)), np.asarray(what(taken))
         np.testing.assert_allclose(theirs, mine, atol=1e-7 * np.abs(mine).max())
 
 

@@ -139,7 +139,8 @@ def test_slopes_at_strained_states_match_differences(everything: Assembled) -> N
 def test_fingers_in_proportion_share_their_shapes(tmp_path: Path) -> None:
     """One search and one tangent for both, with forces and slopes in proportion, as each by itself has them."""
     pressed = [{"subject": name, "displacement_mm": d, "force_N": 0.1} for name in "ab" for d in (0.3, 0.6)]
-    ready = assemble(study_of(tmp_path, {"plate": (PLATE, pressed)}, {"free": ["stiffness"], "per": {"stiffness": "subject"}}), solver=solver_kind())
+    study = study_of(tmp_path, {"plate": (PLATE, pressed)}, {"free": ["stiffness"], "per": {"stiffness": "subject"}})
+    ready = assemble(study, solver=solver_kind())
 
     def given(vector: jnp.ndarray) -> tuple[dict, AbstractTissue]:
         return {"stiffness[a]": jnp.exp(vector[0]), "stiffness[b]": jnp.exp(vector[1])}, law(jnp.stack([vector[2], vector[3], vector[3]]))
