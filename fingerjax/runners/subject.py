@@ -250,7 +250,7 @@ class FingerSubject(AbstractSubject):
         return self._changed(self._rough, Effects(self.compiled, tuple(made))) if made else self._rough
 
     def _with_law(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
-        """The same for tissue of another law: the linear model's, and what the law adds by the implicit rule; others move that little."""
+        """The same for tissue of another law: the linear model's, and what the law adds by the implicit rule, or by differences."""
         amounts, laws = self._amounts(phi), [key for key in moving if self._is_law(key)]
         rest = tuple(key for key in moving if key not in laws)
         linear = self.evaluate(raw, {key: value for key, value in phi.items() if not self._is_law(key)}, rest)
@@ -270,10 +270,17 @@ class FingerSubject(AbstractSubject):
         there = self._linearised(rough, raw, amounts, ())
         if there is None:
             return self._failed(len(raw), len(moving))
-        others = dict(zip(rest, linear.phi_jacobian.T, strict=True))
+        others = {key: own + self._beyond_slope(raw, phi, key, added) for key, own in zip(rest, linear.phi_jacobian.T, strict=True)}
         columns = [slopes[:, len(raw) + laws.index(key)] if key in laws else others[key] for key in moving]
         theta = linear.theta_jacobian + slopes[:, : len(raw)] - there[1]
         return Evaluation(linear.prediction + added, theta, np.stack(columns, axis=1) if columns else np.zeros((len(added), 0)))
+
+    def _beyond_slope(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
+        """How what a law adds changes with another effect."""
+        way = self._ways[key]
+        step = NEAR * way.scale if phi[key] + NEAR * way.scale <= way.upper else -NEAR * way.scale
+        more = self._beyond(raw, self._amounts({**phi, key: phi[key] + step}))
+        return np.full(len(here), np.nan) if more is None else (more[0] - here) / step
 
     def _is_inner(self, key: str) -> bool:
         """Whether an effect is in the internal force, so that one linear answer gives its slope."""
