@@ -22,7 +22,7 @@ from ..fem.body import Body, body
 from ..fem.columns import Columns, columns_from_matrix
 from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from ..layers import LAYERS
 from ..measure.afferent import start
 from ..measurements import Measurement
@@ -117,7 +117,7 @@ class Assembled:
     """
 
     study: Study
-    solid: LayeredSolid
+    solid: AbstractSolid
     finger: Finger
     model: Model
     mesh: Finger
@@ -239,7 +239,7 @@ def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: 
 
 def lay_out(
     study: Study,
-    solid: LayeredSolid,
+    solid: AbstractSolid,
     finger: Finger,
     wired: Wiring,
     solver: str | AbstractSolver = "auto",
