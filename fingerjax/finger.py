@@ -28,6 +28,7 @@ class Finger:
     - `nail`: `(n,)` bool, nodes of the nail patch.
     - `bone`: `(n,)` bool, nodes on or inside the bone's surface (the fixed face of a test body).
     - `proximal`: `(n,)` bool, nodes on z = 0.
+    - `rollers`: `(n, 3)` bool, ways along x, y, z in which nodes that are not held cannot move; None where there are none.
     - `key`: hash of everything that made the mesh.
     - `quality`: figures of `fingerjax.mesh.quality`.
     """
@@ -42,6 +43,7 @@ class Finger:
     proximal: np.ndarray
     key: str = ""
     quality: dict[str, Any] = field(default_factory=dict)
+    rollers: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         n, e = len(self.nodes), len(self.tets)
@@ -53,6 +55,7 @@ class Finger:
             "nail": (self.nail.shape, (n,)),
             "bone": (self.bone.shape, (n,)),
             "proximal": (self.proximal.shape, (n,)),
+            "rollers": ((n, 3) if self.rollers is None else self.rollers.shape, (n, 3)),
         }
         for argument, (seen, wanted) in shapes.items():
             if seen != wanted:
@@ -89,5 +92,6 @@ class Finger:
             nail=self.nail[used],
             bone=self.bone[used],
             proximal=self.proximal[used],
+            rollers=None if self.rollers is None else self.rollers[used],
             key=f"{self.key}-without-bone" if self.key else "",
         )

@@ -7,12 +7,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from .errors import InputError
+from .layers import SOFT_LAYERS
 from .spelling import choose_from
 from .strict import Number, Positive, Strict
 from .units import to_internal
 
 PRESETS = ("monkey", "human")
-DOORS = ("preset", "sections", "images", "scan", "mesh")
+BODIES = ("slab", "cylinder")  # doors behind which there is no finger
+DOORS = ("preset", "sections", "images", "scan", "mesh", *BODIES)
 Share = Annotated[Number, Field(gt=0, lt=1)]
 Direction = tuple[Number, Number, Number]
 
@@ -92,14 +94,45 @@ class ScanKeys(FileKeys):
     length_mm: Positive | None = None
 
 
+class SlabKeys(Strict):
+    """Layers of constant thickness on a floor, pressed about the middle of their upper face; those that are not named are not there."""
+
+    radius_mm: Positive
+    layers_mm: dict[str, Positive] = Field(min_length=1)
+    lower: Literal["held", "sliding"] = "held"
+    rim: Literal["free", "held"] = "free"
+
+    @field_validator("layers_mm")
+    @classmethod
+    def _known(cls, layers: dict[str, float]) -> dict[str, float]:
+        for layer in layers:
+            if layer not in SOFT_LAYERS:
+                raise InputError("unknown layer", place=layer, remedy=choose_from(layer, SOFT_LAYERS))
+        return layers
+
+
+class CylinderKeys(Strict):
+    """One material, called epidermis, between two plates: a face is `held` where it sticks to its plate, `sliding` without friction.
+
+    The upper face is the one that is pressed; held, it moves with its plate and not sideways.
+    """
+
+    diameter_mm: Positive
+    height_mm: Positive
+    lower: Literal["held", "sliding"]
+    upper: Literal["held", "sliding"] = "sliding"
+
+
 class Finger(Strict):
-    """The geometry: exactly one of `preset`, `sections`, `images`, `scan`, `mesh`."""
+    """The geometry: exactly one of `preset`, `sections`, `images`, `scan`, `mesh`, or of the bodies `slab` and `cylinder`."""
 
     preset: str | None = None
     sections: str | None = None
     images: str | None = None
     scan: ScanKeys | None = None
     mesh: FileKeys | None = None
+    slab: SlabKeys | None = None
+    cylinder: CylinderKeys | None = None
     nail: Nail | None = None
     layers: LayerKeys | None = None
     resolution: MeshResolution = MeshResolution()
@@ -117,6 +150,8 @@ class Finger(Strict):
         if self.sections is not None and self.nail is None:
             remedy = "write nail: {z_mm: [9.0, 15.0], theta_deg: [50, 130]}"
             raise InputError("nothing holds the finger: the nail is not said", remedy=remedy)
+        if said[0] in BODIES and self.nail is not None:
+            raise InputError(f"a {said[0]} has no nail", place="nail", remedy="take it out; lower: says how its lower face is held")
         if self.layers is not None and said[0] not in ("images", "scan"):
             problem = f"{said[0]} has layers of its own"
             raise InputError(problem, place="layers", remedy="take it out; layers are said for images and scan only")

@@ -19,15 +19,19 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from .csvfile import Table, read_table
+from .csvfile import read_table
 from .errors import InputError
 from .indenter_spec import IndenterSpec, read_indenter
+from .row_choice import chosen_rows, joined, repeated
 from .spelling import choose_from
+from .spike_windows import RatesKeys, rates_in
 from .strict import Number, Positive, Strict, checked
 from .tidy import LABELS, QUANTITIES, Tidy
-from .units import internal_unit, split_unit, to_internal
+from .traces import from_contact, made_alike, read_at
+from .units import internal_unit, to_internal
 from .yamlfile import Document, Keys, Origin, located, read_yaml, said_in_python
 
+BESIDE = ("displacement", "depth", "force")  # read beside what was imposed, to find first contact
 Kind = Literal["deflection_profile", "force_displacement", "spike_rate"]
 
 
@@ -67,11 +71,15 @@ class SidecarKeys(Strict):
     receptor: ReceptorKeys | None = None
     noise: NoiseKeys = NoiseKeys()
     notes: str = ""
-    columns: dict[str, str] = {}
+    columns: dict[str, str | list[str]] = {}  # a list joins columns to one label
     where: dict[str, Any] = {}
     drop: dict[str, Any] | list[dict[str, Any]] = {}
     units: dict[str, str] = {}
     every: dict[str, Number | str] = {}  # what holds for every row and the table does not repeat, as in depth_mm: 1.0
+    rates: RatesKeys | None = None  # spike times beside a trace, counted in windows
+    contact: dict[str, Number] = {}  # where traces begin: force_mN: 0.05
+    at: dict[str, list[Number]] = {}  # where traces are read: time_s: [0.1, 0.2, 0.5]
+    alike: dict[str, Number] = {}  # what repeats of one setting differ by at most: displacement_um: 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,8 +183,9 @@ def read_measurement(
     origin = _layered(said, origin, sidecar, file)
     below = sidecar.content if sidecar else {}
     keys = checked(SidecarKeys, _with_kind({**below, **said}, file), origin)
-    table = _rows(_repeated(read_table(file), keys, origin), keys, origin)
-    tidy = Tidy(table, keys.columns, keys.units)
+    table = repeated(read_table(file), keys.every, origin)
+    table, columns = joined(table, keys.columns, origin)
+    tidy = Tidy(chosen_rows(table, keys.where, keys.drop, origin), columns, keys.units)
     with located(origin, "columns"):
         tidy.check_columns()
     with located(origin, "units"):
@@ -218,45 +227,21 @@ def _with_kind(said: dict[str, Any], file: Path) -> dict[str, Any]:
     return said
 
 
-def _repeated(table: Table, keys: SidecarKeys, origin: Origin) -> Table:
-    """The table with a column for each key of `every`."""
-    for name in keys.every:
-        with located(origin, "every"):
-            if split_unit(name)[0] not in (*QUANTITIES, *LABELS):
-                raise InputError("not one of our columns", place=name, remedy=choose_from(name, [*QUANTITIES, *LABELS]))
-            if name in table.cells:
-                raise InputError("the table has this column itself", place=name, remedy="leave it out of every")
-    said = {name: [str(value)] * len(table) for name, value in keys.every.items()}
-    return dataclasses.replace(table, cells={**table.cells, **said})
-
-
-def _rows(table: Table, keys: SidecarKeys, origin: Origin) -> Table:
-    """The rows that `where` takes and `drop` leaves: a row is dropped where all keys of a `drop` fit it."""
-    with located(origin, "where"):
-        mask = table.matching(keys.where, needed=True)
-    for drop in keys.drop if isinstance(keys.drop, list) else [keys.drop]:
-        with located(origin, "drop"):
-            mask &= ~table.matching(drop, needed=False) if drop else True
-    if not mask.any():
-        file, where = origin(("where",) if keys.where else ("drop",))
-        remedy = "take more rows, or drop fewer"
-        raise InputError("no row of the table is left", file=file, place=where, remedy=remedy)
-    return table.take(mask)
-
-
 def _measurement(
     name: str, keys: SidecarKeys, tidy: Tidy, receptor: Receptor | None, origin: Origin
 ) -> Measurement:
     imposed, value = _roles(keys, tidy, origin)
-    table = _columns(keys.kind, imposed, value, tidy)
-    _check_imposed(table[imposed], imposed, tidy)
+    table = _columns(keys, imposed, value, tidy)
     sigma = _sigma(keys.noise, value, tidy, origin)
+    if not keys.contact:
+        _check_imposed(table[imposed], imposed, tidy)
+    table, rows = _traced(table if sigma is None else {**table, "sigma": sigma}, keys, imposed, value, tidy, origin)
     return Measurement(
         name=name,
         kind=keys.kind,
-        table=table if sigma is None else {**table, "sigma": sigma},
+        table=table,
         value=value,
-        sigma=sigma,
+        sigma=table.get("sigma"),
         indenters=_indenters(keys, table, tidy, origin),
         controlled="force" if imposed == "force" else "displacement",
         direction=keys.direction,
@@ -267,15 +252,38 @@ def _measurement(
         species=keys.species,
         file=tidy.table.file,
         replicates=len(set(table["trial"])) if "trial" in table else keys.noise.replicates or 1,
-        rows=np.array(tidy.table.rows, dtype=np.int64),
+        rows=rows,
     )
+
+
+def _traced(
+    table: dict[str, np.ndarray], keys: SidecarKeys, imposed: str, value: str, tidy: Tidy, origin: Origin
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The columns after `contact`, `at` and `alike`, and the line in the file of each row."""
+    rows = np.array(tidy.table.rows, dtype=np.int64)
+    clock = table.get("time")
+    if keys.contact:
+        with located(origin, "contact"):
+            table, rows = from_contact(table if clock is None else {**table, "clock": clock}, rows, keys.contact)
+    if keys.rates is not None:
+        with located(origin, "rates"):
+            table, rows = rates_in(table, rows, keys.rates, tidy.table.file)
+    unused = {"clock", *BESIDE} - {imposed, value}
+    table = {name: each for name, each in table.items() if name not in unused}
+    if keys.at:
+        with located(origin, "at"):
+            table, rows = read_at(table, rows, keys.at)
+    if keys.alike:
+        with located(origin, "alike"):
+            table = made_alike(table, keys.alike, value)
+    return table, rows
 
 
 def _roles(keys: SidecarKeys, tidy: Tidy, origin: Origin) -> tuple[str, str]:
     """Which column was imposed and which was measured."""
     if keys.kind == "force_displacement":
         return ("force", "displacement") if keys.controlled == "force" else ("displacement", "force")
-    imposed = "depth" if keys.kind == "deflection_profile" else _depth_or_force(tidy)
+    imposed = "depth" if keys.kind == "deflection_profile" else _depth_or_force(tidy, keys.controlled)
     controlled = "force" if imposed == "force" else "displacement"
     if keys.controlled not in (None, controlled):
         file, where = origin(("controlled",))
@@ -285,22 +293,26 @@ def _roles(keys: SidecarKeys, tidy: Tidy, origin: Origin) -> tuple[str, str]:
     return imposed, "deflection" if keys.kind == "deflection_profile" else "rate"
 
 
-def _depth_or_force(tidy: Tidy) -> str:
+def _depth_or_force(tidy: Tidy, controlled: str | None) -> str:
     there = [name for name in ("depth", "force") if tidy.find(name)]
+    if len(there) == 2 and controlled is not None:
+        return "force" if controlled == "force" else "depth"
     if len(there) != 1:
         found = [str(tidy.find(name)) for name in there]
         problem = "a spike_rate needs exactly one column of depth_mm, force_N or force_gf"
-        remedy = "keep the one that was imposed" if there else "add the depth or force of every row"
+        remedy = "keep the one that was imposed, or name it under controlled:" if there else "add the depth or force of every row"
         seen = found or list(tidy.table.cells)
         raise InputError(problem, file=tidy.table.file, seen=seen, remedy=remedy)
     return there[0]
 
 
-def _columns(kind: str, imposed: str, value: str, tidy: Tidy) -> dict[str, np.ndarray]:
-    along = {"deflection_profile": ["distance"], "spike_rate": ["position"]}.get(kind, [])
-    table = {name: tidy.needed(name, QUANTITIES[name]) for name in [imposed, *along, value]}
+def _columns(keys: SidecarKeys, imposed: str, value: str, tidy: Tidy) -> dict[str, np.ndarray]:
+    along = {"deflection_profile": ["distance"], "spike_rate": ["position"]}.get(keys.kind, [])
+    counted = [] if keys.rates is not None else [value]
+    table = {name: tidy.needed(name, QUANTITIES[name]) for name in [imposed, *along, *counted]}
+    beside = {name: tidy.optional(name, QUANTITIES[name]) for name in BESIDE if keys.contact and name not in table}
     more = {"time": tidy.optional("time", "time"), **{name: tidy.label(name) for name in LABELS}}
-    return table | {name: column for name, column in more.items() if column is not None}
+    return table | {name: column for name, column in (beside | more).items() if column is not None}
 
 
 def _check_imposed(values: np.ndarray, name: str, tidy: Tidy) -> None:

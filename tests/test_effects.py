@@ -234,6 +234,35 @@ def test_a_lagging_force_follows_its_filter() -> None:
     DIFFERENCED.check(slope, np.where(time > 0, -3.0, 0.0))
 
 
+def test_a_clock_that_began_late_moves_corners_and_leaves_them_sharp() -> None:
+    late = next(effect for effect in catalogue() if effect.name == "clock_offset")
+    time = np.linspace(0.0, 1.0, 21)
+
+    def corner(t: np.ndarray) -> np.ndarray:
+        return 3.0 * np.clip(t, 0.0, 0.5)
+
+    two = Context(
+        {"time": jnp.asarray(np.tile(time, 2)), "displacement": jnp.asarray(np.tile(corner(time), 2))},
+        jnp.arange(42),
+        jnp.asarray(np.where(np.arange(42) % 21 > 0, np.arange(42) - 1, np.arange(42))),
+        jnp.repeat(jnp.arange(2), 21),
+        "ramp",
+        "force_displacement",
+        False,
+    )
+    force = jnp.asarray(np.concatenate([corner(time), 2 * corner(time)]))
+    said = Reading(force, force, force, two)
+    found = late.read(said, {"delay": jnp.asarray(0.15)}).value
+    Grade(1e-12, 1e-12, "knots fall on knots").check(found, np.concatenate([corner(time - 0.15), 2 * corner(time - 0.15)]))
+    sooner = late.read(said, {"delay": jnp.asarray(-0.125)}).value
+    moved = corner(np.minimum(time + 0.125, 1.0))
+    Grade(1e-12, 1e-12, "straight between rows").check(sooner[:8], moved[:8])
+    np.testing.assert_array_equal(late.read(said, {"delay": jnp.asarray(0.0)}).value, force)
+    slope = jax.jacfwd(lambda delay: late.read(said, {"delay": delay}).value)(jnp.asarray(0.0))
+    rising = np.where((time > 0) & (time < 0.525), -3.0, 0.0)
+    DIFFERENCED.check(slope, np.concatenate([rising, 2 * rising]))
+
+
 def test_saturation_and_power_law_keep_silence_silent() -> None:
     rates = jnp.asarray([0.0, 10.0, 50.0, 90.0])
     said = Reading(rates, rates, rates, dataclasses.replace(context(np.arange(4.0), np.arange(4.0)), kind="spike_rate"))

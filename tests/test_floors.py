@@ -24,7 +24,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "instruments": ("measure", "response"),
     "effects": ("effects",),
     "experiments": (
-        *("indenter_spec", "measurements", "finger_keys", "study_design", "study_sweep"),
+        *("indenter_spec", "row_choice", "traces", "spike_windows", "measurements", "finger_keys", "study_design", "study_sweep"),
         *("study_keys", "study_records", "study_reader", "study"),
     ),
     "forward": ("forward",),

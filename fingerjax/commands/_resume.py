@@ -28,14 +28,20 @@ def study_key(study: Study, data: Path | None, options: str = "") -> str:
 
 
 def named_files(study: Study, data: Path | None) -> Iterator[Path]:
-    """Every file that a text in the study names, the sidecars beside them, and the pictures that its views name."""
+    """Every file that a text in the study names, the sidecars beside them, what lies beside a table and is named, and the pictures that
+    its views name.
+    """
     if study.finger.images is not None and study.shape is not None:
         yield study.shape
         yield from read_views(study.shape).pictures
+    beside = {one.file.parent for one in study.measurements if one.file is not None}
     for text in _texts(study.written):
-        folder = data if text.startswith(SHARED) else study.file.parent
-        path = folder / text.removeprefix(SHARED).lstrip("/") if folder is not None else None
-        if path is not None and len(text) < 1000 and path.is_file():
+        if len(text) >= 1000:
+            continue
+        folders = {data} if text.startswith(SHARED) else {study.file.parent, *beside}
+        for path in [folder / text.removeprefix(SHARED).lstrip("/") for folder in folders if folder is not None]:
+            if not path.is_file():
+                continue
             yield path
             if path.suffix == ".csv" and path.with_suffix(".yaml").is_file():
                 yield path.with_suffix(".yaml")

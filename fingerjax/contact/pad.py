@@ -14,6 +14,7 @@ from ..errors import InputError
 from .triangle import HATS, SHAPES, SLOPES, WEIGHTS
 
 STEEPEST_SKIN = 0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways
+SHARP = 0.5  # cosine of the angle by which the skin turns at an edge of the body: 60 degrees
 
 
 @runtime_checkable
@@ -45,7 +46,9 @@ class Pad(eqx.Module):
     full: Float[Array, " k"]
     """Integral of each hat over all of its skin, in mm^2."""
     rim: Bool[Array, " k"]
-    """Hats on the border of the pad: pressure there means that the pad was chosen too small."""
+    """Hats on the border of the pad: pressure there means that the pad was chosen too small. The body's own edges are no border."""
+    edge: Bool[Array, " p"]
+    """Pad nodes on an edge of the body, beyond which there is no skin that could be touched."""
     spacing: float = eqx.field(static=True)
     """Median node spacing in mm."""
     box: tuple[float, float, float, float] = eqx.field(static=True)
@@ -57,7 +60,7 @@ def pad(finger: SkinMesh) -> Pad:
     facets = np.asarray(finger.skin)[_facing_down(finger)]
     if len(facets) == 0:
         raise InputError("no skin faces -y", place="skin", remedy="the pad must be at -y, the nail at +y")
-    return of_facets(np.asarray(finger.nodes, float), facets)
+    return of_facets(np.asarray(finger.nodes, float), facets, _edges(finger))
 
 
 def functionals(whole: Pad, nodes: int) -> sp.csc_matrix:
@@ -67,13 +70,30 @@ def functionals(whole: Pad, nodes: int) -> sp.csc_matrix:
 
 
 def _facing_down(finger: SkinMesh) -> np.ndarray:
+    return _normals(finger)[:, 1] < -STEEPEST_SKIN
+
+
+def _normals(finger: SkinMesh) -> np.ndarray:
+    """(f, 3) unit normals of the skin's facets."""
     corners = np.asarray(finger.nodes, float)[np.asarray(finger.skin)[:, :3]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normal[:, 1] < -STEEPEST_SKIN * np.linalg.norm(normal, axis=1)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
 
-def of_facets(points: np.ndarray, skin: np.ndarray) -> Pad:
-    """The pad of some facets (f, 6) of a skin whose nodes are at `points` (n, 3), mm."""
+def _edges(finger: SkinMesh) -> np.ndarray:
+    """(n,) bool: nodes where two facets of the skin meet at an angle that no smooth skin has."""
+    skin, normal = np.asarray(finger.skin), _normals(finger)
+    sides = skin[:, [[0, 3, 1], [1, 4, 2], [2, 5, 0]]].reshape(-1, 3)
+    order = np.argsort(sides[:, 1], kind="stable")
+    middle = sides[order, 1]
+    pairs = np.flatnonzero(middle[1:] == middle[:-1])
+    one, other = order[pairs] // 3, order[pairs + 1] // 3
+    sharp = np.einsum("fi,fi->f", normal[one], normal[other]) < SHARP
+    return np.isin(np.arange(len(finger.nodes)), sides[order[pairs[sharp]]])
+
+
+def of_facets(points: np.ndarray, skin: np.ndarray, edge: np.ndarray) -> Pad:
+    """The pad of some facets (f, 6) of a skin whose nodes are at `points` (n, 3), mm; `edge` (n,) are on an edge of the body."""
     nodes, facets = renumbered(skin)
     at = points[nodes]
     tangent = np.einsum("qda,fai->fqdi", SLOPES, at[facets])  # f facet, q point, d direction, a node, i space
@@ -89,7 +109,8 @@ def of_facets(points: np.ndarray, skin: np.ndarray) -> Pad:
         position=jnp.asarray(np.einsum("qa,fai->fqi", SHAPES, at[facets])),
         weight=jnp.asarray(weight),
         full=jnp.asarray(np.bincount(hats.ravel(), (weight @ HATS).ravel(), len(carrying))),
-        rim=jnp.asarray(np.isin(carrying, border(facets))),
+        rim=jnp.asarray(np.isin(carrying, border(facets)) & ~edge[nodes[carrying]]),
+        edge=jnp.asarray(edge[nodes]),
         spacing=float(np.median(np.sqrt(weight.sum(1) / 2.0))),
         box=(at[:, 0].min().item(), at[:, 0].max().item(), at[:, 2].min().item(), at[:, 2].max().item()),
     )

@@ -44,7 +44,9 @@ def pad_for(finger: SkinMesh, indentations: Sequence[Indentation]) -> Pad:
             shape = type(one.indenter).__name__
             raise InputError(f"the indenter ({shape}) never touches the skin", place="origin", seen=one.origin, remedy=remedy)
     chosen = np.any(reached, axis=0)
-    return of_facets(np.asarray(finger.nodes, float), np.asarray(whole.nodes)[np.asarray(whole.facets)[chosen]])
+    edge = np.zeros(len(finger.nodes), bool)
+    edge[np.asarray(whole.nodes)] = np.asarray(whole.edge)
+    return of_facets(np.asarray(finger.nodes, float), np.asarray(whole.nodes)[np.asarray(whole.facets)[chosen]], edge)
 
 
 def windows(whole: Pad, indentations: Sequence[Indentation | Sequence[Indentation]]) -> Pad:
@@ -87,6 +89,7 @@ def _cut(whole: Pad, chosen: np.ndarray) -> dict[str, np.ndarray]:
     facets, hats = np.asarray(whole.facets)[chosen], np.asarray(whole.hats)[chosen]
     columns, facets = renumbered(facets)
     kept, hats = renumbered(hats)
+    open_ended = np.isin(facets[:, :3], border(facets)) & ~np.asarray(whole.edge)[columns][facets[:, :3]]
     return {
         "points": np.asarray(whole.points)[columns],
         "nodes": np.asarray(whole.nodes)[columns],
@@ -96,7 +99,8 @@ def _cut(whole: Pad, chosen: np.ndarray) -> dict[str, np.ndarray]:
         "position": np.asarray(whole.position)[chosen],
         "weight": np.asarray(whole.weight)[chosen],
         "full": np.asarray(whole.full)[kept],
-        "rim": np.isin(np.arange(len(kept)), hats[np.isin(facets[:, :3], border(facets))]),
+        "rim": np.isin(np.arange(len(kept)), hats[open_ended]),
+        "edge": np.asarray(whole.edge)[columns],
     }
 
 

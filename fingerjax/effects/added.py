@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from ..fem.body import Body, Material
 from ..fem.tissue import AbstractTissue
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect
 from .records import Felt, Placed, Push, Reading
 
@@ -57,7 +57,7 @@ class Effects:
     def added(self) -> Added:
         return Added(self.compiled)
 
-    def shape(self, finger: Finger, solid: LayeredSolid) -> Finger:
+    def shape(self, finger: Finger, solid: AbstractSolid) -> Finger:
         for effect, amount in self.made:
             finger = effect.shape(finger, solid, amount)
         return finger
@@ -67,7 +67,7 @@ class Effects:
             placed = effect.place(placed, amount)
         return placed
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid) -> Body:
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid) -> Body:
         for effect, amount in self.made:
             body = effect.support(body, finger, solid, amount)
         return body

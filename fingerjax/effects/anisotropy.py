@@ -8,7 +8,7 @@ import numpy as np
 from ..fem.body import Body, reinforced
 from ..fem.springs import Springs
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect, Size
 
 SKIN = (0, 1)
@@ -23,7 +23,7 @@ class Anisotropy(Effect):
     confused_with = "stratum_corneum, epidermis_thickness."
     parameters = (Size("fibres", "1", 0.75, -0.4, 2.25, step=0.1),)
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         fibres = float(amount["fibres"])
         if fibres == 0.0:
             return body

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..fem.body import Body, reinforced
 from ..fem.springs import bed, faces_on, facets, springs
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect, Size
 
 
@@ -18,7 +18,10 @@ class BedCompliance(Effect):
     confused_with = "nail_compliance, deep_poisson."
     parameters = (Size("stiffness", "MPa/mm", 0.01, 0.0, 0.03, sign=1, step=0.002),)
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+    def lacking(self, finger: Finger) -> str | None:
+        return None if finger.proximal.any() else "the body has no cut end"
+
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         stiffness = float(amount["stiffness"])
         if stiffness <= 0.0:
             return body

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from ..layers import BONE
 from .effect import Amount, Effect, Size
 
@@ -23,14 +23,15 @@ class BoneOffset(Effect):
     confused_with = "the moduli of adipose tissue and fibrous matrix, strain_stiffening."
     parameters = (Size("dorsal", "mm", 0.4, -1.0, 1.0, step=0.1),)
 
-    def shape(self, finger: Finger, solid: LayeredSolid, amount: Amount) -> Finger:
+    def lacking(self, finger: Finger) -> str | None:
+        return None if finger.bone.any() else "the body has no bone"
+
+    def shape(self, finger: Finger, solid: AbstractSolid, amount: Amount) -> Finger:
         dorsal = float(amount["dorsal"])
         if dorsal == 0.0:
             return finger
-        centre = solid.centre(finger.nodes[:, 2])
-        away = finger.nodes[:, :2] - centre
-        radius, theta = np.linalg.norm(away, axis=1), np.arctan2(away[:, 1], away[:, 0])
-        outer, inner = (solid.radius(layer, finger.nodes[:, 2], theta) for layer in (SKIN, BONE))
+        centre, radii = solid.rays(finger.nodes)
+        radius, outer, inner = np.linalg.norm(finger.nodes[:, :2] - centre, axis=1), radii[SKIN], radii[BONE]
         share = np.clip((outer - radius) / np.maximum(outer - inner, 1e-9), 0.0, 1.0)
         share = np.where(finger.bone, 1.0, share)
         nodes = finger.nodes.copy()

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..fem.body import Body
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from ..layers import BONE
 from .effect import Amount, Effect, Size
 
@@ -24,15 +24,18 @@ class DepthGradient(Effect):
     confused_with = "the moduli of adipose tissue and fibrous matrix, bone_offset."
     parameters = (Size("gradient", "1", 0.35, -0.9, 0.9, step=0.1),)
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+    def lacking(self, finger: Finger) -> str | None:
+        deep = (finger.layer >= DERMIS_INNER) & (finger.layer < BONE)
+        return None if deep.any() else "nothing lies beneath the skin"
+
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         gradient = float(amount["gradient"])
         if gradient == 0.0:
             return body
         middle = finger.nodes[finger.tets[:, :4]].mean(axis=1)
-        away = middle[:, :2] - solid.centre(middle[:, 2])
-        theta = np.arctan2(away[:, 1], away[:, 0])
-        outer, inner = (solid.radius(layer, middle[:, 2], theta) for layer in (DERMIS_INNER, BONE))
-        depth = np.clip((outer - np.linalg.norm(away, axis=1)) / np.maximum(outer - inner, 1e-9), 0.0, 1.0)
+        centre, radii = solid.rays(middle)
+        outer, inner = radii[DERMIS_INNER], radii[BONE]
+        depth = np.clip((outer - np.linalg.norm(middle[:, :2] - centre, axis=1)) / np.maximum(outer - inner, 1e-9), 0.0, 1.0)
         deep = (finger.layer >= DERMIS_INNER) & (finger.layer < BONE)
         factor = np.where(deep, 1 + gradient * (2 * depth - 1), 1.0)
         return eqx.tree_at(lambda one: one.weight_along, body, body.weight_along * jnp.asarray(factor))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect, Size
 from .morph import Radii, on_rays
 
@@ -21,7 +21,10 @@ class DermisThickness(Effect):
     confused_with = "epidermis_thickness, depth_gradient; the modulus of the dermis takes most of it up."
     parameters = (Size("share", "1", 0.25, -0.6, 0.75, step=0.05),)
 
-    def shape(self, finger: Finger, solid: LayeredSolid, amount: Amount) -> Finger:
+    def lacking(self, finger: Finger) -> str | None:
+        return None if {LAYER, LAYER + 1} <= set(finger.layer.tolist()) else "the body has not both layers whose border would move"
+
+    def shape(self, finger: Finger, solid: AbstractSolid, amount: Amount) -> Finger:
         share = float(amount["share"])
         return finger if share == 0.0 else on_rays(finger, solid, lambda radii: _thicker(radii, share))
 

@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 from ..fem.body import Body, Material
 from ..fem.tissue import AbstractTissue
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .records import Felt, Measured, Placed, Push, Reading
 
 ACTS_ON = ("finger", "tissue", "support", "contact", "time", "instrument", "afferent")
@@ -76,6 +76,10 @@ class Effect:
         """Why these measurements cannot show this effect, in words; None where they can."""
         return None
 
+    def lacking(self, finger: Finger) -> str | None:
+        """Why this body cannot show this effect, in words: a cylinder has no bone; None where it can."""
+        return None
+
     def columns(self) -> tuple[Column, ...]:
         """Every column by which the effect is looked for: each of its numbers, at each point of its grid."""
         grids: list[dict[str, float]] = [{}]
@@ -108,7 +112,7 @@ class Effect:
     def _has(self, method: str) -> bool:
         return getattr(type(self), method) is not getattr(Effect, method)
 
-    def shape(self, finger: Finger, solid: LayeredSolid, amount: Amount) -> Finger:
+    def shape(self, finger: Finger, solid: AbstractSolid, amount: Amount) -> Finger:
         """The meshed finger, changed."""
         return finger
 
@@ -116,11 +120,11 @@ class Effect:
         """The indenter, its poses or the receptor, changed."""
         return placed
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         """Elements and supports, changed."""
         return body
 
-    def force(self, body: Body, finger: Finger, solid: LayeredSolid) -> Force | None:
+    def force(self, body: Body, finger: Finger, solid: AbstractSolid) -> Force | None:
         """The internal force (n, 3), N, of a displacement (n, 3), mm, per unit of the effect at its null, at Lame parameters (2, layers).
 
         None where the difference between two bodies says it, as it does unless the null is a support that does not give at all.

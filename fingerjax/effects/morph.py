@@ -8,21 +8,20 @@ from collections.abc import Callable
 import numpy as np
 
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from ..layers import BONE
 
 Radii = np.ndarray  # (5, n) mm: the outer radius of every layer on each node's ray
 
 
-def on_rays(finger: Finger, solid: LayeredSolid, moved: Callable[[Radii], Radii]) -> Finger:
+def on_rays(finger: Finger, solid: AbstractSolid, moved: Callable[[Radii], Radii]) -> Finger:
     """Nodes carried along their rays from the section's centre, as the interfaces on both sides of each are moved; the skin stays.
 
     **Raises** `ValueError` where layers would cross.
     """
-    centre = solid.centre(finger.nodes[:, 2])
+    centre, before = solid.rays(finger.nodes)
     away = finger.nodes[:, :2] - centre
-    radius, theta = np.linalg.norm(away, axis=1), np.arctan2(away[:, 1], away[:, 0])
-    before = np.stack([solid.radius(layer, finger.nodes[:, 2], theta) for layer in range(BONE + 1)])
+    radius = np.linalg.norm(away, axis=1)
     before = np.minimum.accumulate(before, axis=0)
     after = moved(before)
     if (np.diff(after, axis=0) > 1e-9).any():

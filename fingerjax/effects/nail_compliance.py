@@ -13,7 +13,7 @@ from ..fem.body import Body, reinforced
 from ..fem.springs import bed, facets, springs
 from ..fem.stiffness import Elastic
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect, Force, Size
 
 
@@ -24,7 +24,10 @@ class NailCompliance(Effect):
     confused_with = "bed_compliance, apparatus_compliance, deep_poisson."
     parameters = (Size("compliance", "mm/MPa", 75.0, 0.0, 225.0, sign=1, step=10.0),)
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+    def lacking(self, finger: Finger) -> str | None:
+        return None if finger.nail.any() else "no face of the body is held"
+
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         compliance = float(amount["compliance"])
         if compliance <= 0.0:
             return body
@@ -33,7 +36,7 @@ class NailCompliance(Effect):
         freed = jnp.where(jnp.asarray(finger.nail), 1.0, body.free)
         return reinforced(eqx.tree_at(lambda one: one.free, body, freed), under)
 
-    def force(self, body: Body, finger: Finger, solid: LayeredSolid) -> Force:
+    def force(self, body: Body, finger: Finger, solid: AbstractSolid) -> Force:
         """What the tissue feels when the nail yields to the force that it bears: K g, with A g = - K u on the nail, A g = 0 elsewhere."""
         nail = finger.skin[finger.nail[finger.skin].all(axis=1)]
         under, nodes = bed(facets(finger.nodes, nail), len(finger.nodes)), np.unique(nail)

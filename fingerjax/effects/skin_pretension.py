@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..fem.body import Body, reinforced
 from ..fem.springs import facets, springs, tension
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect, Size
 
 
@@ -18,7 +18,7 @@ class SkinPretension(Effect):
     confused_with = "stratum_corneum, epidermis_thickness."
     parameters = (Size("tension", "N/mm", 0.005, 0.0, 0.02, sign=1, step=0.001),)
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         pull = float(amount["tension"])
         if pull <= 0.0:
             return body

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..fem.body import Body, reinforced
 from ..fem.springs import facets, film, springs
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect, Size
 
 POISSON_RATIO = 0.4
@@ -20,7 +20,7 @@ class StratumCorneum(Effect):
     confused_with = "epidermis_thickness, anisotropy; the modulus of the epidermis takes most of it up."
     parameters = (Size("membrane_stiffness", "N/mm", 0.05, 0.0, 0.15, sign=1, step=0.005),)
 
-    def support(self, body: Body, finger: Finger, solid: LayeredSolid, amount: Amount) -> Body:
+    def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         stiffness = float(amount["membrane_stiffness"])
         if stiffness <= 0.0:
             return body

@@ -50,7 +50,7 @@ class Assembled:
 
     def __init__(self, body: Body, *, upper: bool):
         tets, nodes = np.asarray(body.tets), len(body.free)
-        self.free = np.flatnonzero(np.repeat(np.asarray(body.free) > 0, 3))
+        self.free = np.flatnonzero(np.broadcast_to(np.asarray(body.moves) > 0, (nodes, 3)))
         # The pattern is found between nodes, nine times fewer than the numbers in it.
         row, column = np.repeat(tets, tets.shape[1], axis=1).ravel(), np.tile(tets, tets.shape[1]).ravel()
         pairs, block = np.unique(row.astype(np.int64) * nodes + column, return_inverse=True)

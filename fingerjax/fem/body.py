@@ -50,6 +50,7 @@ class Body(eqx.Module):
       `weight_along` (q, e): quadrature weight times Jacobian, mm^3. Elements come last, so that arithmetic runs along them.
     - `dilatation`: the change of volume that Lame's first parameter acts on, at each quadrature point or as the mean over the element.
     - `springs`: stiffness beside that of the elements.
+    - `sliding` (n, 3): 0 for the ways along x, y, z in which a node cannot move that is not held; None where there are none.
     """
 
     tets: Int[Array, "elements corners"]
@@ -62,6 +63,12 @@ class Body(eqx.Module):
     weight_along: Float[Array, "points elements"]
     dilatation: str = eqx.field(static=True, default="pointwise")
     springs: Springs | None = None
+    sliding: Float[Array, "nodes 3"] | None = None
+
+    @property
+    def moves(self) -> Float[Array, "nodes _"]:
+        """(n, 1 or 3): 1 where a node moves on its own, in all ways or along x, y, z."""
+        return self.free[:, None] if self.sliding is None else self.free[:, None] * self.sliding
 
     @property
     def inverse(self) -> Float[Array, "elements _ 3 3"]:
@@ -98,15 +105,16 @@ def body(finger: Finger, *, bone: str = "rigid", order: int = 2, degree: int = 2
     if bone not in BONES:
         raise ValueError(f"unknown bone {bone!r}; choose one of {', '.join(BONES)}")
     finger = finger if bone == "elastic" else finger.without_bone()
-    tets, nodes, nail, hard = finger.tets, finger.nodes, finger.nail, finger.bone
+    tets, nodes, nail, hard, rollers = finger.tets, finger.nodes, finger.nail, finger.bone, finger.rollers
     if order == 1:
         used, tets = np.unique(finger.tets[:, :4], return_inverse=True)
         tets, nodes, nail, hard = tets.reshape(-1, 4), nodes[used], nail[used], hard[used]
+        rollers = None if rollers is None else rollers[used]
     carried = hard & ~nail if bone == "rigid" else np.zeros(len(nodes), bool)
     held = nail | hard if bone == "held" else nail
-    if not held.any():
+    if not held.any() and rollers is None:
         raise ValueError(f"nothing holds the body {finger.name!r}: mark its nail, or hold its bone with bone='held'")
-    return assemble_body(nodes, tets, finger.layer, held, degree, carried, dilatation)
+    return assemble_body(nodes, tets, finger.layer, held, degree, carried, dilatation, rollers)
 
 
 def rigid_modes(nodes: np.ndarray, carried: np.ndarray) -> np.ndarray:
@@ -129,8 +137,11 @@ def assemble_body(
     degree: int = 2,
     carried: np.ndarray | None = None,
     dilatation: str = "pointwise",
+    rollers: np.ndarray | None = None,
 ) -> Body:
-    """A body from bare arrays: nodes (n, 3) mm, tets (e, 4 or 10), layer (e,), held (n,) bool; `carried` nodes move as one rigid piece."""
+    """A body from bare arrays: nodes (n, 3) mm, tets (e, 4 or 10), layer (e,), held (n,) bool; `carried` nodes move as one rigid piece,
+    others not in the ways marked in `rollers` (n, 3).
+    """
     if dilatation not in DILATATIONS:
         raise ValueError(f"unknown dilatation {dilatation!r}; choose one of {', '.join(DILATATIONS)}")
     carried = np.zeros(len(nodes), bool) if carried is None else np.asarray(carried)
@@ -155,6 +166,7 @@ def assemble_body(
         inverse_along=jnp.asarray(np.moveaxis(inverse, 0, 3).copy()),
         weight_along=jnp.asarray((determinant * weights).T.copy()),
         dilatation=dilatation,
+        sliding=None if rollers is None else jnp.asarray(~np.asarray(rollers), float),
     )
 
 

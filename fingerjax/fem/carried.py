@@ -28,7 +28,7 @@ def bone_loads(stiffness: AbstractStiffness) -> Float[Array, "modes nodes 3"]:
     body = stiffness.body
     if len(body.modes) == 0:
         return body.modes
-    return -body.free[:, None] * jax.lax.map(stiffness, body.modes)
+    return -body.moves * jax.lax.map(stiffness, body.modes)
 
 
 class Carriage(eqx.Module):
@@ -78,7 +78,7 @@ def let_go(stiffness: AbstractStiffness, loads: Fields, held: Solution) -> Solut
 
 def admissible(body: Body, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     """The nearest displacement that leaves the nail alone and moves the bone as one piece; orthogonal, so also what of a load works."""
-    own = body.free[:, None] * u
+    own = body.moves * u
     if len(body.modes) == 0:
         return own
     flat = body.modes.reshape(len(body.modes), -1)

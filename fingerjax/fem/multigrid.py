@@ -112,10 +112,18 @@ def _corner_terms(body: Body, part: slice) -> tuple[np.ndarray, np.ndarray]:
     share = np.eye(4)
     if body.order == 2:
         share = np.concatenate([share, 0.5 * (share[EDGES[:, 0]] + share[EDGES[:, 1]])])
-    moves = np.asarray(body.free)[np.asarray(body.tets)[part]]
-    held = (each * moves[:, :, None, None, None] * moves[:, None, None, :, None] for each in _shaped(element_matrices(body, part), size))
+    moves = np.asarray(body.moves)[np.asarray(body.tets)[part]]
+    held = (each * moves[:, :, :, None, None] * moves[:, None, None, :, :] for each in _shaped(element_matrices(body, part), size))
     first, second = (np.einsum("ac,eaibj,bd->ecidj", share, each, share, optimize=True) for each in held)
-    return first, second
+    return (first, second) if body.sliding is None else (_apart(first, moves[:, :4]), _apart(second, moves[:, :4]))
+
+
+def _apart(each: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Element matrices (e, 4, 3, 4, 3) in which the ways that a corner cannot move (e, 4, 3) touch nothing but themselves."""
+    own = np.einsum("ecici->eci", each) * (1 - moves)
+    apart = each * moves[:, :, :, None, None] * moves[:, None, None, :, :]
+    np.einsum("ecici->eci", apart)[...] += own
+    return apart
 
 
 def _pairs(tets: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -303,7 +311,8 @@ def preconditioner(body: Body, frozen: Hierarchy, lame: Lame, precision: type = 
     def scaled(load: Field) -> Field:
         size = jnp.linalg.norm(load)
         unit = load / jnp.where(size > 0, size, 1.0)
-        return cycle(unit.astype(precision)).astype(load.dtype) * size
+        moved = cycle(unit.astype(precision)).astype(load.dtype) * size
+        return moved if body.sliding is None else body.sliding * moved
 
     return scaled
 
@@ -338,7 +347,7 @@ def _cycle(
 
     def cycle(load: Field) -> Field:
         u = smooth(operate, load, None)
-        u = u + body.free[:, None] * midsides.prolong(below(midsides.restrict(load - operate(u))))
+        u = u + body.moves * midsides.prolong(below(midsides.restrict(load - operate(u))))
         return smooth(operate, load, u)
 
     return cycle

@@ -88,8 +88,8 @@ def nodal_forces(body: Body, stress: Float[Array, "elements points 3 3"]) -> Flo
 
 def apply(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     """`internal_force` between nodes that are free to move: zero in, and zero out, on supports."""
-    free = body.free[:, None]
-    return free * internal_force(body, lame, free * u)
+    moves = body.moves
+    return moves * internal_force(body, lame, moves * u)
 
 
 def strain_energy(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, ""]:

@@ -126,7 +126,7 @@ class MultigridCG(AbstractSolver):
     def held(self, stiffness: AbstractStiffness, loads: Fields, start: Fields | None = None) -> Solution:
         """`start` (m, n, 3): where to begin, zero where None."""
         body = stiffness.body
-        cycle, free = preconditioner(body, self.frozen, jnp.asarray(stiffness.lame)), body.free[:, None]
+        cycle, free = preconditioner(body, self.frozen, jnp.asarray(stiffness.lame)), body.moves
         product = self._product(stiffness)
 
         def one(case: tuple[Field, Field | None]) -> Solution:
@@ -144,7 +144,7 @@ class MultigridCG(AbstractSolver):
         if isinstance(stiffness, Elastic) and stiffness.body.order == 1 and stiffness.body.springs is None:
             rows = self.frozen.corners.rows(jnp.asarray(stiffness.lame))
             return lambda u: self.frozen.corners.multiply(rows, u)
-        free = stiffness.body.free[:, None]
+        free = stiffness.body.moves
         return lambda u: free * stiffness(free * u)
 
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:

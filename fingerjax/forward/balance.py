@@ -89,7 +89,7 @@ def energy_balance(name: str, state: AtRest) -> Check:
 def reaction_balance(name: str, body: Body, state: AtRest) -> Check:
     """Forces and moments of the supports against those of the loads, relative; moments are divided by the size of the body."""
     applied = _resultants(body, np.asarray(state.load))
-    reaction = _resultants(body, np.asarray(state.internal) * _supports(body)[:, None])
+    reaction = _resultants(body, np.asarray(state.internal) * _supports(body))
     return Check(f"{name}: supports carry the load", _worst(reaction + applied, applied), BALANCED)
 
 
@@ -175,9 +175,9 @@ def _pressed(rig: Rig, settled: Settled, known: Known) -> Contact:
 
 
 def _supports(body: Body) -> np.ndarray:
-    """(n,) bool: nodes that do not move at all; a carried bone is no support."""
+    """(n, 1 or 3) bool: nodes that do not move, at all or along x, y, z; a carried bone is no support."""
     carried = np.any(np.asarray(body.modes) != 0, axis=(0, 2))
-    return np.asarray(body.fixed) & ~carried
+    return (np.asarray(body.moves) == 0) & ~carried[:, None]
 
 
 def _resultants(body: Body, force: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from ..fem.condensed import AbstractCondensed, Stiffer, first_like
 from ..fem.operator import Lame
 from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from ..layers import LAYERS
 from ..measure.afferent import start
 from ..measurements import Measurement
@@ -127,7 +127,7 @@ class Assembled:
     """
 
     study: Study
-    solid: LayeredSolid
+    solid: AbstractSolid
     finger: Finger
     model: Model
     mesh: Finger
@@ -250,7 +250,7 @@ def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: 
 
 def lay_out(
     study: Study,
-    solid: LayeredSolid,
+    solid: AbstractSolid,
     finger: Finger,
     wired: Wiring,
     solver: str | AbstractSolver = "auto",

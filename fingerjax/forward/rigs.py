@@ -22,7 +22,7 @@ from ..errors import InputError
 from ..fem.body import Body
 from ..fem.recovery import strain_columns
 from ..finger import Finger
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from ..indenter_spec import IndenterSpec
 from ..measurements import Measurement, Receptor
 from ..mesh import Focus
@@ -89,14 +89,14 @@ def indenter_from(spec: IndenterSpec) -> AbstractIndenter:
     return from_spec(spec.shape, spec.dimensions, spec.along or "x", spec.lists)
 
 
-def site(solid: LayeredSolid, measurement: Measurement) -> tuple[float, float]:
+def site(solid: AbstractSolid, measurement: Measurement) -> tuple[float, float]:
     """(x, z), mm, of the point of the skin that a measurement is about: its own site, or the lowest point of the pad."""
     if measurement.site is not None:
         return skin_point(solid, measurement.site.z, measurement.site.theta)
     return skin_point(solid, solid.pad_centre, 1.5 * np.pi)
 
 
-def skin_point(solid: LayeredSolid, z: float, theta: float) -> tuple[float, float]:
+def skin_point(solid: AbstractSolid, z: float, theta: float) -> tuple[float, float]:
     """(x, z), mm, of the skin at an angle about the section's centre."""
     if not 0 < z < solid.length:
         raise InputError("the site lies beyond the finger", place="z_mm", seen=z, remedy=f"write 0 to {solid.length:g} mm")
@@ -104,7 +104,7 @@ def skin_point(solid: LayeredSolid, z: float, theta: float) -> tuple[float, floa
     return float(solid.centre(at)[0, 0] + solid.radius(0, at, angle)[0] * np.cos(theta)), z
 
 
-def plans(measurements: tuple[Measurement, ...], solid: LayeredSolid, wired: Wiring) -> list[Plan]:
+def plans(measurements: tuple[Measurement, ...], solid: AbstractSolid, wired: Wiring) -> list[Plan]:
     """One plan for each indenter of each measurement."""
     variants = {labels: number for number, labels in enumerate(wired.variants(measurements))}
     found = []
@@ -119,7 +119,7 @@ def plans(measurements: tuple[Measurement, ...], solid: LayeredSolid, wired: Wir
 
 
 def _plan(
-    measurement: Measurement, index: int, indenter: AbstractIndenter, rows: np.ndarray, variant: np.ndarray, solid: LayeredSolid
+    measurement: Measurement, index: int, indenter: AbstractIndenter, rows: np.ndarray, variant: np.ndarray, solid: AbstractSolid
 ) -> Plan:
     origin = _origins(measurement, rows, solid)
     imposed = measurement.table[measurement.imposed][rows]
@@ -130,7 +130,7 @@ def _plan(
     return Plan(measurement, index, indenter, rows, origins, which, cases[:, 2], tissue, case.reshape(-1))
 
 
-def _origins(measurement: Measurement, rows: np.ndarray, solid: LayeredSolid) -> np.ndarray:
+def _origins(measurement: Measurement, rows: np.ndarray, solid: AbstractSolid) -> np.ndarray:
     """(rows, 2): where the indenter's own origin stands, (x, z) mm."""
     if measurement.kind != "spike_rate":
         return np.tile(site(solid, measurement), (len(rows), 1))
@@ -156,7 +156,7 @@ PROBE_SPACING = 0.25  # of the probe's radius
 RECEPTOR_SPACING, RECEPTOR_PATCH = 0.25, 1.4  # of its depth: strain that deep varies over as much as the depth, along the skin and down
 
 
-def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float, least: float = 0.0) -> tuple[Focus, ...]:
+def foci(planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: float = 0.0) -> tuple[Focus, ...]:
     """Where the mesh must be finer than the pad's own spacing, down to the `least`: under wedges, under probes smaller than it, and around
     receptors.
     """
@@ -175,13 +175,13 @@ def foci(planned: list[Plan], solid: LayeredSolid, pad_spacing: float, least: fl
     return tuple(focus for focus in clipped if focus.size < pad_spacing)
 
 
-def _theta(solid: LayeredSolid, x: float, z: float) -> float:
+def _theta(solid: AbstractSolid, x: float, z: float) -> float:
     """Angle of the pad's skin at (x, z) about the section's centre."""
     at = np.linspace(np.pi, 2 * np.pi, 721)
     return float(at[np.argmin(np.abs(solid.surface(np.full(721, z), at)[:, 0] - x))])
 
 
-def _line_focus(line: Line, solid: LayeredSolid, x: float, z: float, travel: float) -> Focus:
+def _line_focus(line: Line, solid: AbstractSolid, x: float, z: float, travel: float) -> Focus:
     """A strip as long as the skin that lies within `travel` of the wedge's first contact."""
     if line.along == "z":
         s = np.linspace(0.0, solid.length, 801)[1:-1]
@@ -202,7 +202,7 @@ class Laid:
     receptor_layer: dict[int, int]
 
 
-def lay(planned: list[Plan], finger: Finger, body: Body, solid: LayeredSolid) -> Laid:
+def lay(planned: list[Plan], finger: Finger, body: Body, solid: AbstractSolid) -> Laid:
     """Choose the skin that can be touched, and number everything that is pressed or read.
 
     Under one pose the columns are the pressures themselves, a quarter as many as the nodes that they press on; an indenter that is
@@ -259,7 +259,7 @@ def _indentations(plan: Plan, limit: float) -> list[Indentation]:
     return [Indentation(plan.indenter, (float(x), float(z)), min(max(travel, 0.05), limit)) for x, z in plan.origins]
 
 
-def _readings(plan: Plan, finger: Finger, body: Body, solid: LayeredSolid) -> tuple[sp.csc_matrix | None, np.ndarray, int | None]:
+def _readings(plan: Plan, finger: Finger, body: Body, solid: AbstractSolid) -> tuple[sp.csc_matrix | None, np.ndarray, int | None]:
     """Columns observed beside the pad, which of them each row reads, and the layer of the receptor."""
     measurement, rows = plan.measurement, plan.rows
     if measurement.kind == "deflection_profile":
@@ -273,7 +273,7 @@ def _readings(plan: Plan, finger: Finger, body: Body, solid: LayeredSolid) -> tu
     return None, np.zeros(len(rows), int), None
 
 
-def receptor_point(solid: LayeredSolid, receptor: Receptor) -> np.ndarray:
+def receptor_point(solid: AbstractSolid, receptor: Receptor) -> np.ndarray:
     """(3,), mm: `depth` below the skin, on the way to the section's centre."""
     z, theta = np.array([receptor.z]), np.array([receptor.theta])
     radius = solid.radius(0, z, theta)[0] - receptor.depth

@@ -13,15 +13,19 @@ import numpy as np
 from ..errors import InputError
 from ..finger import Finger
 from ..finger_keys import LayerKeys
+from ..geometry.disc import Disc
 from ..geometry.layers import LayerPlan, layered
 from ..geometry.outline import Outline
 from ..geometry.presets import preset
 from ..geometry.scan import Frame, outline_from_scan
 from ..geometry.sections import LayeredSolid, Patch, Sections, solid_from_sections
 from ..geometry.silhouette import outline_from_views
+from ..geometry.solid import AbstractSolid
 from ..geometry.views import Views, read_views
+from ..layers import SOFT_LAYERS
 from ..mesh import Focus, Resolution, build_finger
 from ..mesh.cache import Arrays, content_key, kept
+from ..mesh.discs import disc_mesh
 from ..mesh.imported import read_mesh
 from ..study import Study
 
@@ -34,11 +38,27 @@ def unheard(share: float, what: str) -> None:
     """Tells nobody."""
 
 
-def solid_of(study: Study, tell: Tell = unheard) -> LayeredSolid:
-    """The study's fingertip before it is meshed; `tell(share, what)` hears of the progress on its images.
+def solid_of(study: Study, tell: Tell = unheard) -> AbstractSolid:
+    """The study's fingertip, or other body, before it is meshed; `tell(share, what)` hears of the progress on its images.
 
     **Raises** `InputError` for whatever is wrong with the files behind the door.
     """
+    body = _body(study)
+    return _fingertip(study, tell) if body is None else body
+
+
+def _body(study: Study) -> Disc | None:
+    """The body that is no finger; None where it is one."""
+    if (slab := study.finger.slab) is not None:
+        thickness = tuple(float(slab.layers_mm.get(layer, 0.0)) for layer in SOFT_LAYERS)
+        return Disc(study.name, slab.radius_mm, thickness, lower=slab.lower, rim=slab.rim)  # type: ignore[arg-type]
+    if (cylinder := study.finger.cylinder) is not None:
+        height = (cylinder.height_mm, 0.0, 0.0, 0.0)
+        return Disc(study.name, 0.5 * cylinder.diameter_mm, height, lower=cylinder.lower, upper=cylinder.upper)
+    return None
+
+
+def _fingertip(study: Study, tell: Tell) -> LayeredSolid:
     finger, nail = study.finger, _nail(study)
     if finger.preset is not None:
         solid = preset(finger.preset)
@@ -51,16 +71,21 @@ def solid_of(study: Study, tell: Tell = unheard) -> LayeredSolid:
     return layered(_outline(study, tell), _plan(study), nail, study.name)
 
 
-def mesh_of(study: Study, solid: LayeredSolid, focus: tuple[Focus, ...] = (), size: float = 1.0) -> Finger:
-    """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for.
+def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), size: float = 1.0) -> Finger:
+    """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for, and so are bodies
+    of rings and levels.
 
     Elements `size` times as large are coarser first of all where they were made small, for elsewhere they must follow the bone.
     """
     said = study.finger
     if said.mesh is not None:
         return read_mesh(_there(study.shape, said.mesh.file), _nail(study), said.mesh.unit, study.name)[0]
+    if isinstance(solid, Disc):
+        pad, proximal = size * said.resolution.pad_mm, size * said.resolution.proximal_mm
+        return disc_mesh(solid, Resolution(pad, max(pad, proximal)))
     everywhere = min(size, COARSEST)
     resolution = Resolution(everywhere * said.resolution.pad_mm, everywhere * said.resolution.proximal_mm)
+    assert isinstance(solid, LayeredSolid), "a finger's surfaces come from its sections"
     focus = tuple(dataclasses.replace(one, size=size * max(size, 1.0) * one.size) for one in focus)
     return build_finger(solid, resolution, focus, said.mesher)
 

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from fingerjax.errors import InputError
+from fingerjax.geometry.solid import AbstractSolid
 from fingerjax.layers import BONE, LAYERS
 
 LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}
@@ -338,7 +339,7 @@ class Patch:
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredSolid:
+class LayeredSolid(AbstractSolid):
     """Five nested surfaces of one fingertip, smooth in z and theta; 0 is epidermis, 4 is bone.
 
     `notes` say what was assumed, clamped or corrected on the way here.
@@ -353,6 +354,10 @@ class LayeredSolid:
     def length(self) -> float:
         """z of the tip, mm."""
         return float(self.sections.z[-1])
+
+    @property
+    def extent(self) -> str:
+        return f"{self.length:.2f} mm long, widest radius {self.largest_radius:.2f} mm"
 
     @property
     def digest(self) -> str:
@@ -420,20 +425,17 @@ class LayeredSolid:
         """Which layer each point `(k, 3)` lies in: 0 to 4, or -1 outside the skin."""
         return np.sum([self.level(k, points) < 0 for k in range(len(LAYERS))], axis=0) - 1
 
-    def surface(self, z: np.ndarray, theta: np.ndarray, layer: int = 0) -> np.ndarray:
-        """Points `(k, 3)` mm of a layer's outer surface at z and theta (rad)."""
-        z, theta = np.broadcast_arrays(np.asarray(z, float), np.asarray(theta, float))
-        r, middle = self.radius(layer, z, theta), self.centre(z)
-        return np.stack([middle[..., 0] + r * np.cos(theta), middle[..., 1] + r * np.sin(theta), z], axis=-1)
+    def rays(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """From each point's section's origin, outwards through the point."""
+        centre = self.centre(points[:, 2])
+        x, y = (points[:, :2] - centre).T
+        theta = np.arctan2(y, x)
+        return centre, np.stack([self.radius(layer, points[:, 2], theta) for layer in range(len(LAYERS))])
 
     def angle(self, points: np.ndarray) -> np.ndarray:
         """theta in [0, 2 pi) of points `(k, 3)` about their section's origin."""
         x, y = (points[..., :2] - self.centre(points[..., 2])).T
         return np.mod(np.arctan2(y, x), 2 * np.pi)
-
-    def pad_y(self, z: np.ndarray) -> np.ndarray:
-        """y of the pad's middle line (theta = 270 deg), `(k,)` mm."""
-        return self.surface(z, np.full(np.shape(z), 1.5 * np.pi))[..., 1]
 
     @cached_property
     def pad_centre(self) -> float:

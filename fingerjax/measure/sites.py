@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import InputError
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Sites:
         return len(self.points)
 
 
-def below(solid: LayeredSolid, depth: float | np.ndarray, z: float | np.ndarray, theta: float | np.ndarray = 1.5 * np.pi) -> Sites:
+def below(solid: AbstractSolid, depth: float | np.ndarray, z: float | np.ndarray, theta: float | np.ndarray = 1.5 * np.pi) -> Sites:
     """Places `depth` mm below the skin at z mm and theta rad; the three are broadcast against each other and counted in C order.
 
     **Raises:** `InputError` where a place is not in soft tissue.
@@ -44,7 +44,7 @@ def below(solid: LayeredSolid, depth: float | np.ndarray, z: float | np.ndarray,
     return Sites(centre + (radius - depth)[:, None] * outwards, -outwards)
 
 
-def along(solid: LayeredSolid, depth: float, z: float, distances: np.ndarray, direction: str = "z") -> Sites:
+def along(solid: AbstractSolid, depth: float, z: float, distances: np.ndarray, direction: str = "z") -> Sites:
     """A line of places at one depth: at `distances` (m,) mm along z from (z, middle of the pad), or across, counted along x."""
     distances = np.asarray(distances, float)
     if direction == "z":
@@ -52,14 +52,14 @@ def along(solid: LayeredSolid, depth: float, z: float, distances: np.ndarray, di
     return below(solid, depth, z, _angle(solid, z, distances))
 
 
-def plane(solid: LayeredSolid, depth: float, x: np.ndarray, z: np.ndarray) -> Sites:
+def plane(solid: AbstractSolid, depth: float, x: np.ndarray, z: np.ndarray) -> Sites:
     """A population: places at one depth under every (x, z) of the two lists, mm; (x, z) is that of the skin above. Numbered x first."""
     x, z = np.asarray(x, float), np.asarray(z, float)
     theta = np.stack([_angle(solid, float(each), x) for each in z], axis=1)  # x z
     return below(solid, depth, np.broadcast_to(z, theta.shape), theta)
 
 
-def _angle(solid: LayeredSolid, z: float, x: np.ndarray) -> np.ndarray:
+def _angle(solid: AbstractSolid, z: float, x: np.ndarray) -> np.ndarray:
     """theta of the pad's skin at x, (m,)."""
     theta = np.linspace(np.pi, 2 * np.pi, 1441)
     at = solid.surface(np.full(theta.shape, z), theta)[:, 0]

@@ -46,7 +46,7 @@ class FingerSubject(AbstractSubject):
     def __init__(self, ready: Assembled, effects: tuple[Effect, ...], *, solver: str = "auto", size: float = 1.0, tell: Tell = unheard):
         study = ready.study
         self.study, self.solver, self.size, self.tell = study, solver, size, tell
-        self.absent = {effect.name: why for effect in effects if (why := effect.absent(study.measurements)) is not None}
+        self.absent = {effect.name: why for effect in effects if (why := effect.absent(study.measurements) or effect.lacking(ready.mesh))}
         self.effects = {effect.name: effect for effect in effects if effect.name not in self.absent}
         self.compiled = tuple(effect for effect in self.effects.values() if effect.traced)
         self.name, self.kind = study.name, "measured"

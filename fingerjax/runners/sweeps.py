@@ -16,7 +16,7 @@ from ..finger import Finger
 from ..forward.rigs import LARGEST_STRAIN_SHARE, indenter_from, skin_point
 from ..forward.sequence import Pushed, Sequence, check, prepare
 from ..forward.shape import mesh_of, solid_of
-from ..geometry.sections import LayeredSolid
+from ..geometry.solid import AbstractSolid
 from ..measure.receptor import PAPER_QUANTITIES, QUANTITIES, UNITS
 from ..measure.sites import below
 from ..measurements import Receptor
@@ -58,7 +58,7 @@ def sweep(study: Study, context: Context) -> StudyResult:
 
 
 def _swept(
-    study: Study, options: Sweep, receptor: Receptor, solid: LayeredSolid, finger: Finger, name: str, shape: AbstractIndenter
+    study: Study, options: Sweep, receptor: Receptor, solid: AbstractSolid, finger: Finger, name: str, shape: AbstractIndenter
 ) -> list[Row]:
     tissue = material(study.model.moduli(), study.model.poisson_ratios())
     pushed, sequence = pressed(study, options, receptor, solid, finger, shape, tissue)
@@ -85,7 +85,7 @@ def _column(quantity: str) -> str:
 
 
 def pressed(
-    study: Study, options: Sweep, receptor: Receptor, solid: LayeredSolid, finger: Finger, shape: AbstractIndenter, tissue: Material
+    study: Study, options: Sweep, receptor: Receptor, solid: AbstractSolid, finger: Finger, shape: AbstractIndenter, tissue: Material
 ) -> tuple[Pushed, Sequence]:
     """One shape at every position. **Raises** `InputError` where it does not touch, or where the force cannot be reached."""
     origins = np.tile(skin_point(solid, receptor.z, receptor.theta), (len(options.positions), 1))
