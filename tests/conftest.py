@@ -15,6 +15,7 @@ from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("NPROC", "16")  # as the program itself sets it
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # on matrices of hundreds of rows its threads only wait for one another
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # programs that one file compiled serve the next one, and the commands that tests start
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="fingerjax-programs-")
