@@ -94,7 +94,7 @@ def descend(
             if np.isfinite(beyond).all() and not beyond @ beyond >= min(here.squares, moved @ moved if gain >= 0 else np.inf):
                 after, moved, gain = other, beyond, max(_gain(here, step, believed, beyond), 0.0)
         damping = _damping(damping, gain)
-        crawls = min(moved @ moved, here.squares) > (1 - CRAWL) * here.squares and promised**2 > CRAWL * here.squares
+        crawls = min(float(moved @ moved), here.squares) > (1 - CRAWL) * here.squares and promised**2 > CRAWL * here.squares
         slow = slow + 1 if crawls and here.typical > FAR else 0
         stuck = stuck + 1 if abs(float(moved @ moved) - here.squares) < STUCK * here.squares else 0
         if gain >= 0:

@@ -136,10 +136,9 @@ class Inquiry:
         return self.found[family]
 
     def _fitted(self, node: Node) -> Optimum:
+        sample = self.base.best.sample
         fits = [
-            optimum(
-                self.base.best.sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept, enough=self.enough
-            )  # fmt: skip
+            optimum(sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept, enough=self.enough)
             for number, (raw, start) in enumerate(starts(node, self.base.best))
         ]
         return min(fits, key=_misfit)
