@@ -7,6 +7,8 @@ import os
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA warns at length of every program that it reads from its own cache
 # Threads of XLA's own. jaxlib's dense solves wait on these for one another, and on two cores two of them could wait for ever.
 os.environ.setdefault("NPROC", "16")
+# Small dense matrices, factorised by the hundred: on a busy machine two threads wait for one another longer than they work.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 

@@ -85,7 +85,7 @@ def test_priors_are_rows_of_their_own() -> None:
 def test_the_mesh_error_is_measured_and_its_leftover_is_a_covariance() -> None:
     toy = Toy(mesh=0.03)
     best = based(toy)
-    offset = correction(best)
+    offset = correction(toy, best.raw, NONE)
     assert offset is not None and np.linalg.norm(offset) > 0
     left = leftover(toy.rows, offset)
     assert np.linalg.eigvalsh(left).min() > -1e-9 * np.linalg.eigvalsh(left).max()

@@ -76,7 +76,7 @@ def descend(
     turning, damping, trusted = np.zeros((len(x), len(x))), FIRST, False
     slow = stuck = hopeless = 0
     for _ in range(STEPS):
-        ways = movable(here.x, here.gradient, lower, upper)
+        ways = movable(here, lower, upper, near)
         promised = float(np.linalg.norm(Projection.of(here.jacobian[:, ways]).basis.T @ here.residual))
         if promised < near * here.typical:
             return here.x, True
@@ -173,9 +173,12 @@ def learned(turning: Float[np.ndarray, "q q"], here: Place, there: Place) -> Flo
     return shrunk + (both + both.T) / along - float(missing @ step) * np.outer(change, change) / along**2
 
 
-def movable(
-    x: Float[np.ndarray, "q"], gradient: Float[np.ndarray, "q"], lower: Float[np.ndarray, "q"], upper: Float[np.ndarray, "q"]
-) -> Bool[np.ndarray, "q"]:
-    """Not at a bound that the sum of squares falls towards."""
+def movable(here: Place, lower: Float[np.ndarray, "q"], upper: Float[np.ndarray, "q"], near: float) -> Bool[np.ndarray, "q"]:
+    """Not at a bound that the sum of squares falls towards, nor on the flat end of a scale, where all that is left to it moves the
+    prediction by less than `near` standard errors.
+    """
     close = 1e-5 * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    return ~(((x <= lower + close) & (gradient > 0)) | ((x >= upper - close) & (gradient < 0)))
+    falls = here.gradient > 0
+    held = ((here.x <= lower + close) & falls) | ((here.x >= upper - close) & (here.gradient < 0))
+    room, length = np.where(falls, here.x - lower, upper - here.x), np.linalg.norm(here.jacobian, axis=0)
+    return ~held & ((length > 0) & (length * np.where(length > 0, room, 0.0) > near))

@@ -12,14 +12,14 @@ import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ..errors import InputError
 from ..spelling import choose_from
 from . import heldout
 from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
-from .explanations import Explanation, Inquiry
+from .explanations import Explanation, Inquiry, main
 from .findings import Findings
 from .meshguard import MeshGuard, correction, guard, leftover, share_left, unchecked
 from .nearest import nearest
@@ -32,6 +32,7 @@ from .subject import NONE, AbstractSubject, Family
 from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide
 from .writing import written
 
+ROUNDS, SAME = 4, 0.5  # times that the mesh is asked, and change of its answer, in standard errors of all rows together, that is none
 Tell = Callable[[float, str], object]
 
 
@@ -73,7 +74,7 @@ def investigate(
     inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.6))
     if asks_for_effects(noise, base):
         singles = inquiry.singles()
-        if not any(one.in_set for one in singles):
+        if not any(one.in_set for one in singles) and main(singles) is None:
             pairs = inquiry.pairs(singles)
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)
     inquiry.tell = _part(tell, 0.7, 0.1)
@@ -99,21 +100,34 @@ def _asked(subject: AbstractSubject, effects: str | tuple[str, ...]) -> tuple[Fa
 
 
 def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep) -> tuple[Noise, Optimum, MeshGuard]:
-    """The noise, the base fit on the corrected prediction, and what the mesh leaves."""
+    """The noise, the base fit on the corrected prediction, and what the mesh leaves.
+
+    The mesh is asked at the start and where the fit ended, until that changes no more: what a coarse mesh adds depends on where it is.
+    """
     noise = estimate(subject.rows)
-    start = np.array([parameter.raw() for parameter in subject.parameters])
-    sample = Sample.of(subject, noise, chosen)
-    best = optimum(sample, (), start, NONE, name="base", kept=kept)
-    if best.settled and (again := outliers(subject.rows, noise, sample.error(best.at))).weights.min() < noise.weights.min():
-        noise, sample = again, Sample.of(subject, again, chosen)
-        best = optimum(sample, (), best.raw, NONE, name="base with outliers weighed", kept=kept)
-    offset = correction(best) if best.settled else None
-    if offset is None:
-        return noise, best, unchecked(len(subject.rows), len(start))
+    raw = np.array([parameter.raw() for parameter in subject.parameters])
+    offset = correction(subject, raw, NONE)
+    best = _fitted(Sample.of(subject, noise, chosen), raw, offset, "base", kept)
+    if best.settled and (again := outliers(subject.rows, noise, best.sample.error(best.at))).weights.min() < noise.weights.min():
+        noise = again
+        best = _fitted(Sample.of(subject, noise, chosen), best.raw, offset, "base with outliers weighed", kept)
+    for number in range(ROUNDS):
+        moved = correction(subject, best.raw, NONE) if best.settled and offset is not None else None
+        if moved is None or offset is None or np.linalg.norm(best.sample.columns((moved - offset)[:, None])) < SAME:
+            break
+        offset = moved
+        best = _fitted(Sample.of(subject, noise, chosen), best.raw, offset, f"base on the finer mesh {number}", kept)
+    if offset is None or not best.settled:
+        return noise, best, unchecked(len(subject.rows), len(raw))
     rho = share_left(subject.refinement)
-    left = leftover(subject.rows, offset, rho)
-    best = optimum(sample.corrected(offset, left), (), best.raw, NONE, name="base on the finer mesh", kept=kept)
-    return noise, best, guard(best, offset, left, rho)
+    return noise, best, guard(best, offset, leftover(subject.rows, offset, rho), rho)
+
+
+def _fitted(sample: Sample, raw: Float[np.ndarray, "p"], offset: Float[np.ndarray, "rows"] | None, name: str, kept: Keep) -> Optimum:
+    """The base fit with the mesh's correction, and with the noise of what that leaves."""
+    if offset is not None:
+        sample = sample.corrected(offset, leftover(sample.subject.rows, offset, share_left(sample.subject.refinement)))
+    return optimum(sample, (), raw, NONE, name=name, kept=kept)
 
 
 def _looked(

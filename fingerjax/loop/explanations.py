@@ -30,6 +30,7 @@ from .subject import Column, Family
 FAMILIES, NODES = 7, 2  # refitted, best first
 NEARLY = 0.7  # of the leader's fall of RSS from which on the mesh is asked again
 BEHIND = 10.0  # critical values by which an explanation may be behind the leader and still be followed to its end
+ASKED, SAME = 2, 0.5  # times that the mesh is asked, and change of what it says, in standard errors, that is none
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 LEADS, RIVALS = 4, 3  # singles, and what each is paired with
@@ -167,13 +168,16 @@ class Inquiry:
         self.leading = max(self.leading, delta if best.settled else 0.0)
         if not best.settled or delta < max(self.needed, NEARLY * self.leading) or not best.sample.offset.any():
             return best
-        offset = correction(best)
-        if offset is None:
-            return best
-        again = optimum(
-            best.sample.corrected(offset), best.columns, best.raw, best.phi, name=f"{_label(best.columns)} on its own mesh", kept=self.kept
-        )
-        return again if again.settled else best
+        for number in range(ASKED):
+            offset = correction(best.sample.subject, best.raw, best.phi, best.at)
+            if offset is None or np.linalg.norm(best.sample.columns((offset - best.sample.offset)[:, None])) < SAME:
+                break
+            name = f"{_label(best.columns)} on its own mesh {number}"
+            again = optimum(best.sample.corrected(offset), best.columns, best.raw, best.phi, name=name, kept=self.kept)
+            if not again.settled:
+                break
+            best = again
+        return best
 
     def _second(self, first: Explanation) -> Explanation | None:
         """With a second term of the same family, where the first is sound but not enough and the second explains more than chance."""

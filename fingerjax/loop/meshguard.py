@@ -15,13 +15,14 @@ first order leaves as much as D.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from .refit import Optimum
-from .subject import Rows
+from .subject import AbstractSubject, Evaluation, Rows
 from .whitening import Projection
 
 RHO = 0.25  # where the finer mesh has half the element size
@@ -80,12 +81,15 @@ def unchecked(rows: int, p: int) -> MeshGuard:
     return MeshGuard(np.zeros(rows), np.zeros((rows, rows)), math.nan, np.full(p, math.nan), np.full(p, math.nan), checked=False)
 
 
-def correction(best: Optimum) -> Float[np.ndarray, "rows"] | None:
-    """D at an optimum; None where there is no finer mesh, or it gave no answer."""
-    finer = best.sample.subject.finer(best.raw, best.phi)
+def correction(
+    subject: AbstractSubject, raw: Float[np.ndarray, "p"], phi: Mapping[str, float], here: Evaluation | None = None
+) -> Float[np.ndarray, "rows"] | None:
+    """D at a point, where the model is `here`; None where there is no finer mesh, or one of the two gave no answer."""
+    finer = subject.finer(raw, phi)
     if finer is None or not np.isfinite(finer).all():
         return None
-    return np.asarray(finer, dtype=float) - best.at.prediction
+    here = subject.evaluate(raw, phi, ()) if here is None else here
+    return np.asarray(finer, dtype=float) - here.prediction if here.usable else None
 
 
 def share_left(refinement: float) -> float:

@@ -19,14 +19,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 
-from .descent import descend, movable
+from .descent import Place, descend, movable
 from .sample import Sample
 from .subject import Column, Evaluation
 from .whitening import Projection
 
 LEVEL = 1e-6  # largest cosine between the residual and a free column at an optimum
 # Standard errors, of the residual's own size where that is larger, that an optimum with effects and one without may lack.
-NEAR, NEARER = 0.1, 0.02
+NEAR, NEARER = 0.1, 0.05
 EVALUATIONS = 60  # of one search
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
@@ -209,14 +209,14 @@ def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
 
 
 def _polished(points: _Points, x: np.ndarray) -> np.ndarray:
-    """Gauss-Newton steps in the free directions for as long as they lead down."""
+    """A Gauss-Newton step in the free directions, which ends the search of a linear model exactly, and more while they are needed."""
     lower, upper = points.box()
-    for _ in range(POLISH):
+    for number in range(POLISH):
         residual, jacobian = points.residual(x), points.jacobian(x)
-        free = movable(x, jacobian.T @ residual, lower, upper)
+        free = movable(Place(x, residual, jacobian), lower, upper, points.near)
         projection = Projection.of(jacobian[:, free])
         left = float(np.linalg.norm(projection.basis.T @ residual))
-        if left < 0.3 * points.near * _typical(residual) or _cosine(residual, jacobian[:, free]) < LEVEL:
+        if (number and left < 0.3 * points.near * _typical(residual)) or _cosine(residual, jacobian[:, free]) < LEVEL:
             return x
         step = np.zeros(len(x))
         step[free] = -projection.inverse @ residual
@@ -247,7 +247,7 @@ def _ended(points: _Points, x: np.ndarray) -> Optimum:
         reason = "the model has no converged answer at the start"
         return Optimum(points.sample, points.columns, raw, phi, at, nothing[:, 0], nothing, free, math.nan, False, reason)
     residual, jacobian = points.residual(x), points.jacobian(x)
-    free = movable(x, jacobian.T @ residual, *points.box())
+    free = movable(Place(x, residual, jacobian), *points.box(), points.near)
     gradient = _cosine(residual, jacobian[:, free])
     left = float(np.linalg.norm(Projection.of(jacobian[:, free]).basis.T @ residual))
     settled = gradient < LEVEL or left < points.near * _typical(residual)

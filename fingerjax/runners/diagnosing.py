@@ -18,9 +18,9 @@ from ..loop.refit import forget
 from ..study import Study
 from .subject import FingerSubject
 
-WORKING = 14_000  # nodes of the mesh that is fitted on, at most
+WORKING = 10_000  # nodes of the mesh that is fitted on, at most
 CHECKING = 50_000  # nodes of the finer one, at most
-GROWTH = 1.2  # power by which nodes grow as elements shrink: thin layers keep theirs
+GROWTH, FALL = 1.2, 1.7  # powers by which nodes grow as elements shrink, and fall as they grow under sharp tips first
 FINER = 0.5  # element size of the finer mesh over that of the mesh, where its nodes allow
 CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
 TRIES = 3  # meshes on the way to a coarser one
@@ -81,7 +81,7 @@ def subject_of(
 def _at_most(study: Study, own: Assembled, nodes: int, solver: str) -> tuple[float, Assembled]:
     """The study on its own mesh, or on a coarser one that has about so many nodes, and how much larger its elements are."""
     size, found = 1.0, own
-    power = GROWTH
+    power = FALL
     for _ in range(TRIES):
         if len(found.mesh.nodes) <= nodes:
             break
