@@ -75,7 +75,7 @@ def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), s
     """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for, and so are bodies
     of rings and levels.
 
-    Elements `size` times as large are coarser first of all where they were made small, for elsewhere they must follow the bone.
+    Elements `size` times as large are coarser first of all under wedges, where most of them are, for elsewhere they must follow the bone.
     """
     said = study.finger
     if said.mesh is not None:
@@ -86,7 +86,8 @@ def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), s
     everywhere = min(size, COARSEST)
     resolution = Resolution(everywhere * said.resolution.pad_mm, everywhere * said.resolution.proximal_mm)
     assert isinstance(solid, LayeredSolid), "a finger's surfaces come from its sections"
-    focus = tuple(dataclasses.replace(one, size=size * max(size, 1.0) * one.size) for one in focus)
+    wedge = size * max(size, 1.0)
+    focus = tuple(dataclasses.replace(one, size=one.size * (wedge if one.kind == "line" else size)) for one in focus)
     return build_finger(solid, resolution, focus, said.mesher)
 
 
