@@ -152,7 +152,7 @@ def _receptor(measurement: Measurement) -> Receptor:
 
 
 LINE_SPACING = 0.2  # mm: a wedge is a singular line, its profile beside the load wants a few nodes to the millimetre
-PROBE_SPACING = 0.25  # of the probe's radius
+PROBE_SPACING, WIDE = 0.25, 2.0  # of the probe's radius; of the pad's spacing, from which radius on that spacing is fine enough
 RECEPTOR_SPACING, RECEPTOR_PATCH = 0.25, 1.4  # of its depth: strain that deep varies over as much as the depth, along the skin and down
 
 
@@ -168,8 +168,7 @@ def foci(planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: f
         for x, z in plan.origins:
             if isinstance(plan.indenter, Line):
                 found[_line_focus(plan.indenter, solid, x, z, plan.deepest)] = None
-            elif isinstance(plan.indenter, (Point, FlatCylinder)):
-                radius = float(plan.indenter.radius)
+            elif isinstance(plan.indenter, (Point, FlatCylinder)) and (radius := float(plan.indenter.radius)) < WIDE * pad_spacing:
                 found[Focus("point", z, _theta(solid, x, z), PROBE_SPACING * radius, radius, growth=1.0)] = None
     clipped = dict.fromkeys(dataclasses.replace(focus, size=max(focus.size, least)) for focus in found)
     return tuple(focus for focus in clipped if focus.size < pad_spacing)
@@ -245,6 +244,9 @@ def _interfaces(indenter: AbstractIndenter, cut: Pad, origins: Float[Array, "pos
 def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix, Interface]:
     """The hats of a single pose as columns (3n, k), and the interface that presses on them instead of on nodes."""
     kept = np.flatnonzero(np.asarray(geometry.area[0]) > 0)
+    if not len(kept):
+        remedy = "write a smaller pad_mm, or least_mm, under finger: resolution:"
+        raise InputError("the mesh is too coarse for this indenter: no node of the skin lies under it", place="indenter", remedy=remedy)
     load = sp.coo_matrix(np.asarray(geometry.load[0])[:, kept])
     rows = 3 * np.asarray(cut.nodes[0])[load.row] + 1
     matrix = sp.csc_matrix((load.data, (rows, load.col)), shape=(3 * nodes, len(kept)))

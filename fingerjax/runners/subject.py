@@ -15,7 +15,6 @@ from jaxtyping import Array, Float
 
 from ..effects import Effect
 from ..effects.added import Effects
-from ..effects.effect import Column as Way
 from ..errors import InputError
 from ..fem.cholesky import Indefinite
 from ..fem.solver import AbstractSolver, solver_for
@@ -26,16 +25,16 @@ from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..forward.strained import Strained, strained_readings
 from ..forward.strained_slopes import strained_jacobian
-from ..loop.subject import AbstractSubject, Column, Evaluation, Family
+from ..loop.subject import AbstractSubject, Evaluation
 from ..parameters import Parameter
 from ..study import Prior
+from .families import agree, family
 from .rows import rows_of
 
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
-REACH = 3.0  # plausible sizes from the null to the bounds
 
 
 class FingerSubject(AbstractSubject):
@@ -55,7 +54,7 @@ class FingerSubject(AbstractSubject):
         self.parameters = base.problem().parameters
         self.priors = _priors(base, self.parameters)
         self.rows = rows_of(study)
-        self.families = tuple(_family(effect) for effect in self.effects.values())
+        self.families = tuple(family(effect) for effect in self.effects.values())
         self._ways = {column.key: column for family in self.families for column in (*family.columns, *family.second)}
         self._made: OrderedDict[str, Assembled | None] = OrderedDict()
         self._fine: Assembled | None = None
@@ -277,9 +276,8 @@ class FingerSubject(AbstractSubject):
 
     def _beyond_slope(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         """How what a law adds changes with another effect."""
-        way = self._ways[key]
-        step = NEAR * way.scale if phi[key] + NEAR * way.scale <= way.upper else -NEAR * way.scale
-        more = self._beyond(raw, self._amounts({**phi, key: phi[key] + step}))
+        there, step = self._stepped(phi, key)
+        more = self._beyond(raw, self._amounts(there))
         return np.full(len(here), np.nan) if more is None else (more[0] - here) / step
 
     def _is_inner(self, key: str) -> bool:
@@ -312,10 +310,16 @@ class FingerSubject(AbstractSubject):
         return between(model.model.body, body, step)
 
     def _difference(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
-        way = self._ways[key]
-        step = NEAR * way.scale if phi.get(key, way.null) + NEAR * way.scale <= way.upper else -NEAR * way.scale
-        there = self._value(raw, {**phi, key: phi.get(key, way.null) + step})
+        moved, step = self._stepped(phi, key)
+        there = self._value(raw, moved)
         return np.full(len(here), np.nan) if there is None else (there - here) / step
+
+    def _stepped(self, phi: Mapping[str, float], key: str) -> tuple[dict[str, float], float]:
+        """A small step of one effect that stays inside its bounds, and its length."""
+        way = self._ways[key]
+        at = phi.get(key, way.null)
+        step = NEAR * way.scale if at + NEAR * way.scale <= way.upper else -NEAR * way.scale
+        return {**phi, key: at + step}, step
 
     def _secant(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         way = self._ways[key]
@@ -328,7 +332,7 @@ class FingerSubject(AbstractSubject):
         groups: list[list[str]] = []
         for key in keys:
             way = self._ways[key]
-            fits = (group for group in groups if all(_agree(way, self._ways[other]) for other in group))
+            fits = (group for group in groups if all(agree(way, self._ways[other]) for other in group))
             group = next(fits, None)
             if group is None:
                 groups.append([key])
@@ -339,10 +343,6 @@ class FingerSubject(AbstractSubject):
     def _failed(self, p: int, k: int) -> Evaluation:
         n = len(self.rows)
         return Evaluation(np.full(n, np.nan), np.full((n, p), np.nan), np.full((n, k), np.nan), converged=False)
-
-
-def _agree(one: Column, other: Column) -> bool:
-    return one.family != other.family or all(other.fixed.get(name, value) == value for name, value in one.fixed.items())
 
 
 def _with(ready: Assembled, effects: Effects, solver: str = "auto") -> Assembled:
@@ -356,28 +356,6 @@ def _priors(ready: Assembled, parameters: tuple[Parameter, ...]) -> dict[str, Pr
         name = one.name.split("[")[0]
         owner[one.name] = next((known for known in said if ready.model.wired.owner.get(known, known) == name), None)
     return {name: said[known] for name, known in owner.items() if known is not None}
-
-
-def _family(effect: Effect) -> Family:
-    columns = tuple(_column(effect, way) for way in effect.columns())
-    more = tuple(_column(effect, way) for way in effect.second())
-    return Family(effect.name, columns, effect.acts_on, effect.leaves, effect.confused_with, more)
-
-
-def _column(effect: Effect, way: Way) -> Column:
-    size = way.size
-    return Column(
-        family=effect.name,
-        name=size.name,
-        unit=size.unit,
-        scale=size.scale,
-        lower=max(size.lower, size.null - REACH * size.scale),
-        upper=min(size.upper, size.null + REACH * size.scale),
-        null=size.null,
-        sign=size.sign,
-        step=size.step,
-        fixed=dict(way.fixed),
-    )
 
 
 def _ways(p: int, others: dict[str, Array], moved: list[str]) -> tuple[Array, dict[str, Array]]:

@@ -1,0 +1,36 @@
+"""Effects of the catalogue as the loop knows them: families of columns."""
+
+from __future__ import annotations
+
+from ..effects import Effect
+from ..effects.effect import Column as Way
+from ..loop.subject import Column, Family
+
+REACH = 3.0  # plausible sizes from the null to the bounds
+
+
+def family(effect: Effect) -> Family:
+    columns = tuple(_column(effect, way) for way in effect.columns())
+    more = tuple(_column(effect, way) for way in effect.second())
+    return Family(effect.name, columns, effect.acts_on, effect.leaves, effect.confused_with, more)
+
+
+def _column(effect: Effect, way: Way) -> Column:
+    size = way.size
+    return Column(
+        family=effect.name,
+        name=size.name,
+        unit=size.unit,
+        scale=size.scale,
+        lower=max(size.lower, size.null - REACH * size.scale),
+        upper=min(size.upper, size.null + REACH * size.scale),
+        null=size.null,
+        sign=size.sign,
+        step=size.step,
+        fixed=dict(way.fixed),
+    )
+
+
+def agree(one: Column, other: Column) -> bool:
+    """Whether two columns may be awake together: of one effect, only at the same point of its grid."""
+    return one.family != other.family or all(other.fixed.get(name, value) == value for name, value in one.fixed.items())
