@@ -71,7 +71,7 @@ def test_traces_are_read_at_the_same_times_and_are_repeats(tmp_path: Path) -> No
     assert len(apart) == 12 and apart.replicates == 3
     np.testing.assert_allclose(apart.table["time"].reshape(3, 4), [times] * 3, rtol=1e-15)
     np.testing.assert_allclose(apart.table["displacement"].reshape(3, 4), [[0.055, 0.2, 0.2875, 0.2875]] * 3, atol=1e-6)
-    assert noise_of(apart)[1] == "assumed", "rounding keeps them apart"
+    assert len(np.unique(apart.table["displacement"])) > 6, "rounding keeps repeats apart"
     alike = read(tmp_path, ramp(), {**said, "alike": {"displacement_um": 1}})
     assert noise_of(alike)[1] == "replicates"
     assert len(np.unique(alike.table["displacement"])) == 3, "the hold is one displacement"
