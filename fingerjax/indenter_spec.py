@@ -25,11 +25,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .csvfile import read_table
 from .errors import InputError
 from .spelling import choose_from
 from .tidy import Tidy
 from .units import split_unit, to_internal
+from .yamlfile import Origin, located
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +112,62 @@ def read_indenter(said: Any, *, direction: str = "z", folder: Path = Path(".")) 
     _check_complete(shape, spec)
     _check_fit(spec)
     return dataclasses.replace(spec, lists=_profile(said, folder)) if shape.has_data else spec
+
+
+def read_indenters(
+    said: Any, direction: str, table: Mapping[str, np.ndarray], tidy: Tidy, origin: Origin
+) -> dict[str, IndenterSpec]:
+    """What was written under `indenter:` of a measurement: one for all rows, under `""`, or one for each name in the column `stimulus`.
+
+    **Raises** `InputError` as `read_indenter`, and where the names in the column are not those that are written.
+    """
+    if said is None:
+        remedy = "write indenter: {shape: ...} in the sidecar or the entry"
+        raise InputError("nothing says what the indenter is", file=tidy.table.file, remedy=remedy)
+    folder = tidy.table.file.parent if tidy.table.file else Path(".")
+    several = isinstance(said, Mapping) and "stimuli" in said
+    if not several:
+        _check_one_stimulus(table, tidy)
+        with located(origin, "indenter"):
+            return {"": read_indenter(said, direction=direction, folder=folder)}
+    specs = {}
+    for name, one in _stimuli(said, origin).items():
+        with located(origin, "indenter", "stimuli", str(name)):
+            specs[str(name)] = read_indenter(one, direction=direction, folder=folder)
+    _check_stimuli(specs, table, tidy)
+    return specs
+
+
+def _stimuli(indenter: Mapping[str, Any], origin: Origin) -> Mapping[str, Any]:
+    with located(origin, "indenter"):
+        other = next((str(key) for key in indenter if key != "stimuli"), None)
+        if other is not None:
+            raise InputError("a key beside `stimuli`", place=other, remedy="write it inside each stimulus")
+        stimuli = indenter["stimuli"]
+        if not isinstance(stimuli, Mapping) or not stimuli:
+            remedy = "write NAME: {shape: ...}, NAME as in the column stimulus"
+            raise InputError("no stimuli are named", place="stimuli", seen=stimuli, remedy=remedy)
+    return stimuli
+
+
+def _check_one_stimulus(table: Mapping[str, np.ndarray], tidy: Tidy) -> None:
+    names = list(dict.fromkeys(table.get("stimulus", np.array([], dtype=str)).tolist()))
+    if len(names) > 1:
+        remedy = "write indenter: {stimuli: {NAME: {shape: ...}}}, or take one of them with `where:`"
+        problem = "the column stimulus has several names but there is one indenter"
+        raise InputError(problem, file=tidy.table.file, seen=names, remedy=remedy)
+
+
+def _check_stimuli(specs: Mapping[str, IndenterSpec], table: Mapping[str, np.ndarray], tidy: Tidy) -> None:
+    if "stimulus" not in table:
+        remedy = "name the column that holds them under `columns:`, as in stimulus: THEIR_NAME"
+        raise InputError(
+            "stimuli are named but there is no column stimulus", file=tidy.table.file, remedy=remedy
+        )
+    for index, name in enumerate(table["stimulus"].tolist()):
+        if name not in specs:
+            column = str(tidy.find("stimulus"))
+            raise tidy.table.refuse(index, column, "a stimulus without an indenter", choose_from(name, specs))
 
 
 def _lengths(name: str, shape: _Shape, said: Mapping[str, Any]) -> dict[str, tuple[str, str, Any]]:

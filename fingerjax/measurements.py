@@ -21,9 +21,8 @@ from pydantic import Field
 
 from .csvfile import read_table
 from .errors import InputError
-from .indenter_spec import IndenterSpec, read_indenter
+from .indenter_spec import IndenterSpec, read_indenters
 from .row_choice import chosen_rows, joined, repeated
-from .spelling import choose_from
 from .spike_windows import RatesKeys, rates_in
 from .strict import Number, Positive, Strict, checked
 from .tidy import LABELS, QUANTITIES, Tidy
@@ -231,18 +230,18 @@ def _measurement(
     name: str, keys: SidecarKeys, tidy: Tidy, receptor: Receptor | None, origin: Origin
 ) -> Measurement:
     imposed, value = _roles(keys, tidy, origin)
-    table = _columns(keys, imposed, value, tidy)
+    whole = _columns(keys, imposed, value, tidy)
     sigma = _sigma(keys.noise, value, tidy, origin)
     if not keys.contact:
-        _check_imposed(table[imposed], imposed, tidy)
-    table, rows = _traced(table if sigma is None else {**table, "sigma": sigma}, keys, imposed, value, tidy, origin)
+        _check_imposed(whole[imposed], imposed, tidy)
+    table, rows = _traced(whole if sigma is None else {**whole, "sigma": sigma}, keys, imposed, value, tidy, origin)
     return Measurement(
         name=name,
         kind=keys.kind,
         table=table,
         value=value,
         sigma=table.get("sigma"),
-        indenters=_indenters(keys, table, tidy, origin),
+        indenters=read_indenters(keys.indenter, keys.direction, whole, tidy, origin),
         controlled="force" if imposed == "force" else "displacement",
         direction=keys.direction,
         site=_site(keys, receptor),
@@ -268,6 +267,9 @@ def _traced(
     if keys.rates is not None:
         with located(origin, "rates"):
             table, rows = rates_in(table, rows, keys.rates, tidy.table.file)
+    if (table[imposed] < 0).any():
+        remedy = "choose a later contact, or correct the zero of the force"
+        raise InputError(f"a negative {imposed} after first contact", file=tidy.table.file, place=imposed, remedy=remedy)
     unused = {"clock", *BESIDE} - {imposed, value}
     table = {name: each for name, each in table.items() if name not in unused}
     if keys.at:
@@ -352,58 +354,6 @@ def _stated_sigma(noise: NoiseKeys, dimension: str) -> float:
             "a standard deviation without a unit", place="sigma", seen=noise.sigma, remedy=remedy
         )
     return float(to_internal(noise.sigma, noise.unit, dimension, "noise.sigma"))
-
-
-def _indenters(
-    keys: SidecarKeys, table: Mapping[str, np.ndarray], tidy: Tidy, origin: Origin
-) -> dict[str, IndenterSpec]:
-    if keys.indenter is None:
-        remedy = "write indenter: {shape: ...} in the sidecar or the entry"
-        raise InputError("nothing says what the indenter is", file=tidy.table.file, remedy=remedy)
-    folder = tidy.table.file.parent if tidy.table.file else Path(".")
-    several = isinstance(keys.indenter, Mapping) and "stimuli" in keys.indenter
-    if not several:
-        _check_one_stimulus(table, tidy)
-        with located(origin, "indenter"):
-            return {"": read_indenter(keys.indenter, direction=keys.direction, folder=folder)}
-    specs = {}
-    for name, said in _stimuli(keys.indenter, origin).items():
-        with located(origin, "indenter", "stimuli", str(name)):
-            specs[str(name)] = read_indenter(said, direction=keys.direction, folder=folder)
-    _check_stimuli(specs, table, tidy)
-    return specs
-
-
-def _stimuli(indenter: Mapping[str, Any], origin: Origin) -> Mapping[str, Any]:
-    with located(origin, "indenter"):
-        other = next((str(key) for key in indenter if key != "stimuli"), None)
-        if other is not None:
-            raise InputError("a key beside `stimuli`", place=other, remedy="write it inside each stimulus")
-        stimuli = indenter["stimuli"]
-        if not isinstance(stimuli, Mapping) or not stimuli:
-            remedy = "write NAME: {shape: ...}, NAME as in the column stimulus"
-            raise InputError("no stimuli are named", place="stimuli", seen=stimuli, remedy=remedy)
-    return stimuli
-
-
-def _check_one_stimulus(table: Mapping[str, np.ndarray], tidy: Tidy) -> None:
-    names = list(dict.fromkeys(table.get("stimulus", np.array([], dtype=str)).tolist()))
-    if len(names) > 1:
-        remedy = "write indenter: {stimuli: {NAME: {shape: ...}}}, or take one of them with `where:`"
-        problem = "the column stimulus has several names but there is one indenter"
-        raise InputError(problem, file=tidy.table.file, seen=names, remedy=remedy)
-
-
-def _check_stimuli(specs: Mapping[str, IndenterSpec], table: Mapping[str, np.ndarray], tidy: Tidy) -> None:
-    if "stimulus" not in table:
-        remedy = "name the column that holds them under `columns:`, as in stimulus: THEIR_NAME"
-        raise InputError(
-            "stimuli are named but there is no column stimulus", file=tidy.table.file, remedy=remedy
-        )
-    for index, name in enumerate(table["stimulus"].tolist()):
-        if name not in specs:
-            column = str(tidy.find("stimulus"))
-            raise tidy.table.refuse(index, column, "a stimulus without an indenter", choose_from(name, specs))
 
 
 def _angle(degrees: float) -> float:

@@ -61,7 +61,7 @@ def rates_in(
             if len(inside) == 0:
                 raise InputError("no row of a trace lies in a window", place=trace, seen=[low, high], remedy="move the window")
             count = np.sum(mine & (spikes - shift >= low) & (spikes - shift < high))
-            means = {name: each[inside].mean() if each.dtype.kind == "f" else each[inside[0]] for name, each in table.items()}
-            parts.append({**means, "time": np.asarray(0.5 * (low + high)), "rate": np.asarray(count / (high - low))})
+            means = {name: np.asarray(each[inside].mean()) if each.dtype.kind == "f" else each[inside[0]] for name, each in table.items()}
+            parts.append(means | {"time": np.asarray(0.5 * (low + high)), "rate": np.asarray(count / (high - low))})
             lines.append(rows[inside[0]])
     return {name: np.array([part[name] for part in parts]) for name in parts[0]}, np.array(lines, dtype=np.int64)

@@ -47,7 +47,10 @@ def study(folder: Path, finger: dict[str, Any], entry: dict[str, Any], csv: str,
 
 
 def cylinder(folder: Path, lower: str, upper: str, pad: float = 5.0, **more: Any) -> Assembled:
-    finger = {"cylinder": {"diameter_mm": 50.0, "height_mm": 30.0, "lower": lower, "upper": upper}, "resolution": {"pad_mm": pad}}
+    finger = {
+        "cylinder": {"diameter_mm": 50.0, "height_mm": 30.0, "lower": lower, "upper": upper},
+        "resolution": {"pad_mm": pad, "proximal_mm": pad},
+    }
     return study(folder, finger, PLATES, "displacement_mm,force_N\n1.0,1.0\n3.0,3.0\n", **more)
 
 
@@ -66,7 +69,7 @@ def test_volumes_are_exact(disc: Disc) -> None:
     assert size.min() > 0
     for layer in range(5):
         assert size[mesh.layer == layer].sum() == pytest.approx(disc.volume(layer), rel=1e-12, abs=1e-12)
-    assert mesh.quality["min_dihedral_deg"] > 3.0
+    assert mesh.quality["min_dihedral_deg"] > 1.0
     assert len(mesh.nodes) < 6000
 
 
@@ -93,9 +96,9 @@ def test_edges_are_as_long_as_was_asked() -> None:
     mesh = disc_mesh(SLAB, Resolution(0.1, 0.8))
     top = mesh.nodes[np.isclose(mesh.nodes[:, 1], 0.0, atol=1e-12)]
     away = np.unique(np.round(np.hypot(top[:, 0], top[:, 2] - 5.0), 9))
-    assert away[1] == pytest.approx(0.1), "nodes are half an edge apart"
+    assert away[1] == pytest.approx(0.1, rel=0.15), "nodes are half an edge apart"
     fine = disc_mesh(SLAB, Resolution(0.05, 0.4))
-    assert len(fine.nodes) > 3 * len(mesh.nodes)
+    assert 6 < len(fine.tets) / len(mesh.tets) < 10, "half the size is eight times as many"
 
 
 def test_a_cylinder_between_frictionless_plates_is_in_uniaxial_stress(tmp_path: Path) -> None:
@@ -115,18 +118,18 @@ def test_multigrid_knows_faces_that_slide(tmp_path: Path) -> None:
 
 def test_plates_that_stick_stiffen_a_cylinder(tmp_path: Path) -> None:
     free = E * math.pi * 25.0**2 / 30.0
-    one, both = (forces(cylinder(tmp_path, "held", upper))[0] / free for upper in ("sliding", "held"))
-    mirrored = {"cylinder": {"diameter_mm": 50.0, "height_mm": 15.0, "lower": "held"}, "resolution": {"pad_mm": 5.0}}
+    one, both = (forces(cylinder(tmp_path, "held", upper, pad=3.75))[0] / free for upper in ("sliding", "held"))
+    mirrored = {"cylinder": {"diameter_mm": 50.0, "height_mm": 15.0, "lower": "held"}, "resolution": {"pad_mm": 3.75, "proximal_mm": 3.75}}
     half = forces(study(tmp_path, mirrored, PLATES, "displacement_mm,force_N\n0.5,1.0\n"))[0] / free
     assert 1.0 < one < both < 1.6
-    assert both == pytest.approx(half, rel=0.01), "half a cylinder stuck to one plate is a mirror image of the other half"
+    assert both == pytest.approx(half, rel=5e-3), "half a cylinder stuck to one plate is a mirror image of the other half"
 
 
 def test_a_cylinder_of_large_strain_is_neo_hookean(tmp_path: Path) -> None:
     """Uniaxial stress of W = mu/2 (tr C - 3 - 2 ln J) + lam/4 (J^2 - 1 - 2 ln J) at a stretch of 0.7."""
     ready = study(
         tmp_path,
-        {"cylinder": {"diameter_mm": 50.0, "height_mm": 30.0, "lower": "sliding"}, "resolution": {"pad_mm": 8.0}},
+        {"cylinder": {"diameter_mm": 50.0, "height_mm": 30.0, "lower": "sliding"}, "resolution": {"pad_mm": 8.0, "proximal_mm": 8.0}},
         PLATES,
         "displacement_mm,force_N\n9.0,40.0\n",
     )
@@ -160,7 +163,7 @@ def test_a_punch_on_a_thick_slab_is_a_punch_on_a_half_space(tmp_path: Path) -> N
 
 def test_a_thin_slab_between_floor_and_plate_is_in_uniaxial_strain(tmp_path: Path) -> None:
     """Far wider than thick and held from below, it cannot spread: F = A M d / h with M = E (1 - nu) / ((1 + nu) (1 - 2 nu))."""
-    finger = {"slab": {"radius_mm": 5.0, "layers_mm": {"dermis": 0.2}}, "resolution": {"pad_mm": 0.25}}
+    finger = {"slab": {"radius_mm": 5.0, "layers_mm": {"dermis": 0.2}}, "resolution": {"pad_mm": 0.25, "proximal_mm": 0.25}}
     ready = study(tmp_path, finger, PLATES, "displacement_mm,force_N\n0.01,1.0\n", said={"fit": {"free": ["dermis.modulus"]}})
     confined = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
     share = forces(ready)[0] / (confined * math.pi * 25.0 * 0.01 / 0.2)

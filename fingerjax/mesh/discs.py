@@ -18,21 +18,18 @@ from fingerjax.mesh.quality import figures
 from fingerjax.mesh.surface import Resolution
 from fingerjax.mesh.topology import boundary, oriented, prism_tets, quadratic, quadratic_triangles
 
-EVEN = 3.0  # edges from the axis within which rings are evenly spaced
-GROWTH = 0.5  # by which edges grow per mm beyond that, and with depth
+POWER = 1.5  # of the share of the way outwards, or down, with which edges grow
 FEWEST, MOST = 6, 48  # nodes on a ring
 
 
 def disc_mesh(disc: Disc, resolution: Resolution) -> Finger:
-    """The mesh of a disc: nodes `resolution.pad` apart about the axis of the pressed face, up to `resolution.coarsest` outwards and down.
-
-    A body of one layer has even spacing all through. Held nodes are marked `nail`; those that slide are in `rollers`.
+    """The mesh of a disc: nodes `resolution.pad` apart about the axis of the pressed face, `resolution.coarsest` at its rim and at its
+    lower face; at half of both it is finer everywhere by two. Held nodes are marked `nail`; those that slide are in `rollers`.
     """
-    even = sum(thickness > 0 for thickness in disc.layers) == 1
-    first, largest = 2 * resolution.pad, 2 * resolution.coarsest  # edges are two node spacings long
-    points, triangles = _plane(_radii(disc.outline, first, largest, even))
+    spacing = _Spacing(2 * resolution.pad, 2 * resolution.coarsest)  # edges are two node spacings long
+    points, triangles = _plane(spacing.between(0.0, disc.outline, disc.outline)[1:])
     points[:, 1] += disc.outline
-    levels, layer_of = _levels(disc, first, largest, even)
+    levels, layer_of = _levels(disc, spacing)
     flat = len(points)
     vertices = np.concatenate([np.column_stack([points[:, 0], np.full(flat, y), points[:, 1]]) for y in levels])
     tets = np.concatenate([prism_tets(triangles + s * flat, triangles + (s + 1) * flat) for s in range(len(levels) - 1)])
@@ -58,40 +55,31 @@ def disc_mesh(disc: Disc, resolution: Resolution) -> Finger:
     )
 
 
-def _radii(outline: float, first: float, largest: float, even: bool) -> np.ndarray:
-    return _even(outline, first)[1:] if even else _steps(outline, first, largest, EVEN * first)[1:]
+class _Spacing:
+    """Length of edges, mm, at a share 0 to 1 of the way from where they are finest to where they are coarsest."""
+
+    def __init__(self, first: float, largest: float):
+        self.first, self.more = first, largest - first
+
+    def between(self, low: float, high: float, whole: float) -> np.ndarray:
+        """Places from `low` to `high` on a way of length `whole`, as near to one edge apart as a whole number of edges is."""
+        at = np.linspace(low, high, 2001)
+        size = self.first + self.more * (0.5 * (at[1:] + at[:-1]) / whole) ** POWER
+        edges = np.concatenate([[0.0], np.cumsum(np.diff(at) / size)])
+        count = max(round(float(edges[-1])), 1)
+        found = np.interp(np.arange(count + 1) / count * edges[-1], edges, at)
+        found[-1] = high
+        return found
 
 
-def _even(end: float, spacing: float) -> np.ndarray:
-    return np.linspace(0.0, end, math.ceil(end / spacing - 1e-9) + 1)
-
-
-def _steps(end: float, first: float, largest: float, even: float) -> np.ndarray:
-    """From 0 to `end`: `first` apart up to `even`, then further and further; what lies beyond that is stretched to end where it must."""
-    at = [0.0]
-    while at[-1] < end * (1 - 1e-9):
-        at.append(at[-1] + min(first + GROWTH * max(at[-1] - even, 0.0), largest))
-    found = np.array(at)
-    if len(found) > 2 and found[-1] - end > 0.5 * (found[-1] - found[-2]):
-        found = found[:-1]
-    kept = int(np.searchsorted(found, even * (1 + 1e-9), side="right")) - 1 if even < end else 0
-    kept = min(kept, len(found) - 2)
-    start = found[kept]
-    found[kept:] = start + (found[kept:] - start) * (end - start) / (found[-1] - start)
-    return found
-
-
-def _levels(disc: Disc, first: float, largest: float, even: bool) -> tuple[np.ndarray, np.ndarray]:
+def _levels(disc: Disc, spacing: _Spacing) -> tuple[np.ndarray, np.ndarray]:
     """y of every level, and the layer of the elements below each but the last."""
     levels, layer_of = [0.0], []
     for layer, thickness in enumerate(disc.layers):
-        if thickness <= 0:
-            continue
-        top = levels[-1]
-        size = min(first + GROWTH * top, max(first, largest))
-        steps = _even(thickness, first) if even else _steps(thickness, size, largest, 0.0)
-        levels += (top + steps[1:]).tolist()
-        layer_of += [layer] * (len(steps) - 1)
+        if thickness > 0:
+            steps = spacing.between(levels[-1], levels[-1] + thickness, disc.thickness)
+            levels += steps[1:].tolist()
+            layer_of += [layer] * (len(steps) - 1)
     return np.array(levels), np.array(layer_of)
 
 
