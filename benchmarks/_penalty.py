@@ -116,7 +116,7 @@ class Penalty:
         if averaged:
             rows = (skin.hats @ rows).tocsr()
         share = np.asarray(rows.sum(axis=1)).ravel()
-        near = share > (SLIVER * (skin.hats @ skin.area) if averaged else 0.0)
+        near = (share > 0) & (share >= (SLIVER * (skin.hats @ skin.area) if averaged else 0.0))
         rows = sp.diags(1 / share[near]) @ rows[near]
         close = rows @ gap > (1 - REACHED) * travel
         rows, share = rows[close], share[near][close]
