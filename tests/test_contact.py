@@ -41,8 +41,10 @@ def test_the_half_space_knows_a_uniform_disc():
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_hertz(offset):
     """R = 20 mm, a = 4 edges: F = 4/3 E* a^3 / R, p0 = 2 E* a / (pi R) (Johnson 1985, eqs. 4.22-4.24)."""
-    a = 4 * EDGE
-    contact = pressed(Sphere(20.0), offset, a**2 / 20)
+    a, skin = 4 * EDGE, lattice(14, EDGE)
+    wide = pad(skin)
+    half_space = jnp.asarray(compliance(skin, np.asarray(wide.nodes), EDGE, MODULUS, periods=24))
+    contact = jax.jit(press)(half_space, interface(wide, Sphere(20.0), offset), travel=a**2 / 20)
     assert float(contact.force) == pytest.approx(4 / 3 * MODULUS * a**3 / 20, rel=0.005)
     assert float(contact.area) == pytest.approx(np.pi * a**2, rel=0.01)
     assert float(contact.peak_pressure) == pytest.approx(2 * MODULUS * a / np.pi / 20, rel=0.015)
