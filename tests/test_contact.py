@@ -8,9 +8,10 @@ from halfspace import compliance, lattice
 
 from fingerjax.contact.complementarity import complementary
 from fingerjax.contact.footprint import interface
-from fingerjax.contact.indentation import press
-from fingerjax.contact.indenter import Cylinder, FlatCylinder, Line, Sphere
+from fingerjax.contact.indentation import press, recovered
+from fingerjax.contact.indenter import Cylinder, FlatCylinder, FlatPlate, Line, Sphere
 from fingerjax.contact.pad import pad
+from fingerjax.contact.triangle import HATS
 
 MODULUS, EDGE = 1.7, 1.0 / 3.0  # E* in MPa; three facet edges to a millimetre
 SKIN = lattice(10, EDGE)
@@ -39,12 +40,30 @@ def test_the_half_space_knows_a_uniform_disc():
 
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_hertz(offset):
-    """R = 20 mm, a = 1 mm: F = 4/3 E* a^3 / R, p0 = 2 E* a / (pi R) (Johnson 1985, eqs. 4.22-4.24)."""
-    contact = pressed(Sphere(20.0), offset, 1 / 20)
-    assert float(contact.force) == pytest.approx(4 / 3 * MODULUS / 20, rel=0.01)
-    assert float(contact.area) == pytest.approx(np.pi, rel=0.03)
-    assert float(contact.peak_pressure) == pytest.approx(2 * MODULUS / np.pi / 20, rel=0.03)
+    """R = 20 mm, a = 4 edges: F = 4/3 E* a^3 / R, p0 = 2 E* a / (pi R) (Johnson 1985, eqs. 4.22-4.24)."""
+    a, skin = 4 * EDGE, lattice(14, EDGE)
+    wide = pad(skin)
+    half_space = jnp.asarray(compliance(skin, np.asarray(wide.nodes), EDGE, MODULUS, periods=24))
+    contact = jax.jit(press)(half_space, interface(wide, Sphere(20.0), offset), travel=a**2 / 20)
+    assert float(contact.force) == pytest.approx(4 / 3 * MODULUS * a**3 / 20, rel=0.005)
+    assert float(contact.area) == pytest.approx(np.pi * a**2, rel=0.01)
+    assert float(contact.peak_pressure) == pytest.approx(2 * MODULUS * a / np.pi / 20, rel=0.015)
     assert bool(contact.settled) and not bool(contact.reached_edge)
+
+
+def test_a_quadratic_pressure_is_recovered_from_the_hats_nearest_to_it():
+    face = interface(PAD, FlatPlate(), (0.0, 0.0))
+    x, z = np.asarray(PAD.position[..., 0]), np.asarray(PAD.position[..., 2])
+    hats, weight, k = np.asarray(PAD.hats), np.asarray(PAD.weight), len(PAD.full)
+    mass, right = np.zeros((k, k)), np.zeros(k)
+    for i in range(3):
+        np.add.at(right, hats[:, i], (weight * (3.0 - x**2 + 0.5 * x * z - 2.0 * z**2)) @ HATS[:, i])
+        for j in range(3):
+            np.add.at(mass, (hats[:, i], hats[:, j]), weight @ (HATS[:, i] * HATS[:, j]))
+    middle = np.argmin(np.linalg.norm(np.asarray(PAD.points)[np.unique(PAD.facets[:, :3])][:, [0, 2]], axis=1))
+    nearest = np.linalg.solve(mass, right)
+    assert nearest[middle] > 3.05
+    assert float(recovered(face, jnp.asarray(nearest))[middle]) == pytest.approx(3.0, abs=1e-4)
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
