@@ -112,7 +112,7 @@ def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep
         noise = again
         best = _fitted(Sample.of(subject, noise, chosen), best.raw, offset, "base with outliers weighed", kept)
     for number in range(ROUNDS):
-        moved = correction(subject, best.raw, NONE) if best.settled and offset is not None else None
+        moved = correction(subject, best.raw, NONE, best.at) if best.settled and offset is not None else None
         if moved is None or offset is None or np.linalg.norm(best.sample.columns((moved - offset)[:, None])) < SAME:
             break
         offset = moved
