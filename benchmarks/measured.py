@@ -51,7 +51,7 @@ FURTHER: Mapping[str, More] = {
 
 SETS, FEW_SETS = 200, 20
 COARSER, EVERY = 1.6, 3
-FEW = ("contact_offset", "tip_radius", "rate_saturation", "receptive_field_pooling", "relaxation", "force_lag", "friction")
+FEW = ("contact_offset", "tip_radius", "rate_saturation", "receptive_field_pooling", "relaxation", "force_lag")
 """Effects that `--quick` asks for, of those that a study's data can show."""
 
 

@@ -151,6 +151,7 @@ def _uniaxial(stretch: float) -> float:
     return -math.pi * 25.0**2 * (mu * (stretch - 1 / stretch) + lam / 2 * ((stretch * across**2) ** 2 - 1) / stretch)
 
 
+@pytest.mark.slow
 def test_a_punch_on_a_thick_slab_is_a_punch_on_a_half_space(tmp_path: Path) -> None:
     """F = 2 E a d / (1 - nu^2) (Boussinesq 1885); the finite slab and its mesh add some per cent, as finer meshes take them away."""
     punch = {"kind": "force_displacement", "indenter": {"shape": "flat_cylinder", "radius_mm": 0.5}, "noise": {"sigma": 0.001, "unit": "N"}}

@@ -34,7 +34,7 @@ TRIALS, NOISE = 4, {"plate": 0.002, "wedge": 0.01}
 def coarse() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rigs, "LINE_SPACING", 2.0)
-        patch.setattr(diagnosing, "CHECKING", 1)  # no finer mesh: the data come from this one
+        patch.setattr(diagnosing, "CLOSE", 0.0)  # no finer mesh: the data come from this one
         yield
 
 

@@ -87,6 +87,9 @@ def _at_most(study: Study, own: Assembled, nodes: int, solver: str) -> tuple[flo
             break
         larger = size * (1.05 * len(found.mesh.nodes) / nodes) ** (1 / power)
         made = assemble(study, solver=solver, size=larger)
-        power = math.log(len(found.mesh.nodes) / len(made.mesh.nodes)) / math.log(larger / size)
+        fall = math.log(len(found.mesh.nodes) / len(made.mesh.nodes))
+        if fall <= 0:  # as coarse as it gets
+            break
+        power = fall / math.log(larger / size)
         size, found = larger, made
     return size, found
