@@ -250,6 +250,7 @@ def check_without_numbers(result: StudyResult, why: RESULTS) -> None:
         assert parameter.get("ci95") is None or not any(end is not None and math.isfinite(end) for end in parameter["ci95"])
 
 
+@pytest.mark.slow
 def test_a_table_of_forces_whose_solves_are_cut_short_has_no_modulus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model, "solver_for", short)
     row = {"indenter": "plate", "subject": "A", "force_gf": 5.0, "displacement_mm": 0.5}

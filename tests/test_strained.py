@@ -68,6 +68,7 @@ def test_null_tissue_reads_what_the_linear_engine_reads(everything: Assembled, l
 
 
 @needs_direct
+@pytest.mark.slow
 def test_every_case_rests_where_newton_finds_it_to(everything: Assembled, strained: Strained) -> None:
     """A plate, a wedge and a bar by travel, and a plate by force, each against Newton's method from rest with its own tangents."""
     assert strained.prediction.health.converged and strained.prediction.residual < TIGHT.tolerance
