@@ -64,14 +64,17 @@ def compared(name: str, other: Penalty, shape: AbstractIndenter, goal: bool) -> 
     pushed = sequence.press(sequence.condense(LAYERED).held.matrix, shape, travel=travel)
     check(sequence, pushed)
     lowest, force = float(first_contact(pad(other.finger.without_bone()), shape, origin)), float(pushed.contact.force[0])
-    rests = {averaged: other.press(shape, origin, travel, lowest, averaged) for averaged in (True, False)}
-    for (averaged, rested), kind in zip(rests.items(), ("the gap averaged as here", "the gap at points"), strict=True):
-        error, note = abs(force / rested.force - 1) * 100, f"here {force:.5f} N, there {rested.force:.5f} N"
-        told = f"{name}: force against scikit-fem's penalty on {kind}"
-        yield at_most(told, error, "%", 1.0, note) if averaged or goal else Figure(told, error, "%", note=note)
+    same, points = (other.press(shape, origin, travel, lowest, averaged) for averaged in (True, False))
+    yield _beside(f"{name}: force against scikit-fem's penalty on the gap averaged as here", force, same, True)
+    yield _beside(f"{name}: force against scikit-fem's penalty on the gap at points", force, points, goal)
     yield at_most(f"{name}: largest tension", -float(pushed.contact.pressure.min()), "MPa", 0.0)
     yield at_most(f"{name}: deepest penetration", -float(pushed.contact.gap.min()), "mm", 1e-9, "of any hat's mean gap")
-    yield elsewhere(name, sequence, pushed, rests[False])
+    yield elsewhere(name, sequence, pushed, points)
+
+
+def _beside(told: str, force: float, other: Rested, goal: bool) -> Figure:
+    error, note = 100 * abs(force / other.force - 1), f"here {force:.5f} N, there {other.force:.5f} N"
+    return at_most(told, error, "%", 1.0, note) if goal else Figure(told, error, "%", note=note)
 
 
 def elsewhere(name: str, sequence: Sequence, pushed: Pushed, rested: Rested) -> Figure:
