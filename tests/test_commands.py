@@ -228,6 +228,12 @@ def test_the_key_knows_the_file_beside_the_file(file: Path) -> None:
     assert _resume.study_key(study, None) != _resume.study_key(dataclasses.replace(study, name="b"), None)
 
 
+def test_a_long_note_names_no_file(file: Path) -> None:
+    study = load_studies(file)["plate"]
+    noted = dataclasses.replace(study, written={**study.written, "notes": "The place of the receptor is not known. " * 10})
+    assert list(_resume.named_files(noted, None)) == list(_resume.named_files(study, None))
+
+
 def test_the_bar_counts_a_study_by_what_it_took_before() -> None:
     board = _progress.Board(
         ["short", "long", "new"], {"short": 10.0, "long": 30.0}, Console(file=None, quiet=True)
