@@ -17,7 +17,7 @@ from fingerjax.report.tables import heading, shown
 
 HERE = Path(__file__).resolve().parent
 TEMPLATE, REMARKS, PICTURES = HERE / "measured.md.j2", HERE.parent / "fits" / "measured", HERE.parent / "docs" / "pictures"
-ORDER = ("fingerpad", "table1", "bar", "spheres", "mouse", "lag", "silicone")
+ORDER = ("fingerpad", "table1", "bar", "spheres", "mouse_relaxation", "lag", "silicone")
 EFFECTS, PAIRS = 12, 8
 """Rows of the longest tables that are shown."""
 COLUMNS: Mapping[str, tuple[str, ...]] = {

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from benchmarks import _afferents, _fingerpad, _table1
 from benchmarks._measured_page import page
@@ -56,8 +57,12 @@ FEW = ("contact_offset", "tip_radius", "rate_saturation", "receptive_field_pooli
 
 
 def studies() -> dict[str, Path]:
-    """The studies there are, by name."""
-    return {file.stem: file for file in sorted(STUDIES.glob("*.yaml"))}
+    """The studies there are, and the file of each."""
+    found = {}
+    for file in sorted(STUDIES.glob("*.yaml")):
+        said = yaml.safe_load(file.read_text(encoding="utf-8"))
+        found |= dict.fromkeys(said.get("studies", {file.stem: None}), file)
+    return found
 
 
 def data() -> Path:
@@ -66,9 +71,9 @@ def data() -> Path:
     return Path(named) if named else ROOT.parent / "shared" / "data"
 
 
-def loaded(file: Path, quick: bool = False) -> Study:
+def loaded(name: str, quick: bool = False) -> Study:
     """A study with its data. **Raises** `SystemExit` with one line where these are not there."""
-    study = next(iter(load_studies(file, data()).values()))
+    study = load_studies(studies()[name], data())[name]
     if study.missing_data:
         sys.exit(f"{study.name}: {', '.join(study.missing_data)} not in {data()}; set FINGERJAX_DATA to the folder that holds them")
     return thinned(study) if quick else study
@@ -101,7 +106,7 @@ def part(name: str, quick: bool) -> Iterator[Figure]:
     """One study from its numbers to its figures; its record is kept for the page."""
     began = time.perf_counter()
     prepare()
-    study = loaded(studies()[name], quick)
+    study = loaded(name, quick)
     asked = study.diagnose.effects if study.diagnose is not None else "all"
     subject = subject_of(study, asked, tell=_teller(name))
     findings = investigate(

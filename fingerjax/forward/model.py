@@ -33,7 +33,7 @@ from ..study import Study
 from .pressing import settle
 from .problem import Health, Problem
 from .readings import Instruments, Prediction, Solved
-from .rigs import foci, lay, plans
+from .rigs import foci, lay, plans, tips
 from .shape import Tell, mesh_of, solid_of, unheard
 from .wiring import Prior, Values, Wiring, priors, wiring
 
@@ -234,7 +234,8 @@ def _pooled(measurement: Measurement) -> float | None:
 def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: bool = True, tell: Tell = unheard) -> Assembled:
     """Mesh a study's finger and lay its measurements out on it. `tell(share, what)` hears of the progress.
 
-    `size`: elements so many times as large as the study's own, everywhere. `focused`: smaller ones under sharp indenters and at receptors.
+    `size`: elements so many times as large as the study's own, everywhere. `focused`: smaller ones under sharp indenters and at receptors;
+    else no more than it takes for probes to touch any.
 
     **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
     outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
@@ -244,7 +245,8 @@ def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: 
     planned = plans(study.measurements, solid, wired)
     tell(0.9, "meshing")
     asked = study.finger.resolution
-    finger = mesh_of(study, solid, foci(planned, solid, asked.pad_mm, asked.least_mm or 0.0) if focused else (), size)
+    fine = foci(planned, solid, asked.pad_mm, asked.least_mm or 0.0) if focused else tips(planned, solid, size * asked.pad_mm)
+    finger = mesh_of(study, solid, fine, size)
     return lay_out(study, solid, finger, wired, solver)
 
 

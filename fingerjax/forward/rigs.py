@@ -174,6 +174,16 @@ def foci(planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: f
     return tuple(focus for focus in clipped if focus.size < pad_spacing)
 
 
+def tips(planned: list[Plan], solid: AbstractSolid, pad_spacing: float) -> tuple[Focus, ...]:
+    """No more than it takes for nodes to lie under every probe: a spacing of its radius."""
+    found: dict[Focus, None] = {}
+    for plan in planned:
+        if isinstance(plan.indenter, (Point, FlatCylinder)):
+            radius = float(plan.indenter.radius)
+            found |= {Focus("point", z, _theta(solid, x, z), radius, radius, growth=1.0): None for x, z in plan.origins}
+    return tuple(focus for focus in found if focus.size < pad_spacing)
+
+
 def _theta(solid: AbstractSolid, x: float, z: float) -> float:
     """Angle of the pad's skin at (x, z) about the section's centre."""
     at = np.linspace(np.pi, 2 * np.pi, 721)
