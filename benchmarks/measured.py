@@ -58,7 +58,7 @@ FEW = ("contact_offset", "tip_radius", "rate_saturation", "receptive_field_pooli
 
 def studies() -> dict[str, Path]:
     """The studies there are, and the file of each."""
-    found = {}
+    found: dict[str, Path] = {}
     for file in sorted(STUDIES.glob("*.yaml")):
         said = yaml.safe_load(file.read_text(encoding="utf-8"))
         found |= dict.fromkeys(said.get("studies", {file.stem: None}), file)
