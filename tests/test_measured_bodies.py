@@ -28,7 +28,7 @@ def thinned(folder: Path, data: Path, file: str, name: str, pad: float, **entrie
 
 def diagnosed(study: Study, *effects: str) -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(diagnosing, "LARGEST", 0)  # no finer mesh: what is asked here is far larger than a mesh's error
+        patch.setattr(diagnosing, "CLOSE", 0.0)  # no finer mesh: what is asked here is far larger than a mesh's error
         return diagnose_study(study, effects=effects, sets=0).record()
 
 
@@ -49,6 +49,7 @@ def test_without_the_data_a_study_says_what_it_lacks(tmp_path: Path) -> None:
             assert one.missing_data and one.measurements == ()
 
 
+@pytest.mark.slow
 def test_silicone_needs_more_than_a_straight_line(measured: Path, tmp_path: Path) -> None:
     few = {"where": {"family": "00-30", "thinner_percent": 0}, "at": {"displacement_mm": [0.75, 1.5, 3.0, 4.5, 6.0]}}
     record = diagnosed(thinned(tmp_path, measured, "silicone.yaml", "silicone", 8.0, silicone=few), "contact_offset", "force_gain")
@@ -60,6 +61,7 @@ def test_silicone_needs_more_than_a_straight_line(measured: Path, tmp_path: Path
     assert next(iter(offset.values())) < -0.05, "the faces seat before the rubber bears"
 
 
+@pytest.mark.slow
 def test_the_clocks_of_a_recording_disagree(measured: Path, tmp_path: Path) -> None:
     when = [0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.53, 0.56, 0.6, 0.64, 0.68, 0.72, 0.8, 1.1, 2.2, 4.5, 5.6, 5.7, 5.78, 5.84, 5.9, 6.0, 6.1]
     study = thinned(tmp_path, measured, "lag.yaml", "lag_200", 0.2, to_200_mN={"at": {"time_s": when}})
@@ -68,6 +70,7 @@ def test_the_clocks_of_a_recording_disagree(measured: Path, tmp_path: Path) -> N
     assert next(iter(found["clock_offset"]["phi"].values())) == pytest.approx(0.13, abs=0.02)
 
 
+@pytest.mark.slow
 def test_skin_relaxes_and_the_afferent_tires_more(measured: Path, tmp_path: Path) -> None:
     few = {"at": {"time_s": [0.1, 0.2, 0.3, 0.6, 1.4, 3.5, 5.3]}}
     study = thinned(tmp_path, measured, "mouse.yaml", "mouse_relaxation", 0.25, deep=few, rates={"where": {"trial": [2, 8, 10]}})
