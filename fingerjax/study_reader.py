@@ -141,7 +141,8 @@ class StudyReader:
         said = keys.fit or FitKeys()
         names = self._names(keys, parameters)
         self._known(said.free, names, "fit", "free")
-        rates = [name for name in parameters if name.endswith((".scale", ".threshold"))]
+        rates = [name for name in names if name.endswith((".scale", ".threshold"))] if self.missing else []
+        rates = rates or [name for name in parameters if name.endswith((".scale", ".threshold"))]
         free = tuple(dict.fromkeys([*said.free, *rates]))
         if keys.kind == "fit" and not free:
             at, where = self.origin(("fit",))
