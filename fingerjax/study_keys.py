@@ -5,7 +5,7 @@ its files.
 from __future__ import annotations
 
 import re
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -253,11 +253,30 @@ class HoldOutKeys(Strict):
     where: dict[str, Any] = Field(min_length=1)
 
 
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+FORM = {"deflection_profile": 0.01, "force_displacement": 0.01, "spike_rate": 0.05}
+PLACEMENT = 0.2  # mm
+
+
+class FormKeys(Strict):
+    """Share of a reading that even the right model is wrong by, through geometry and laws: profiles (of the greatest deflection), forces,
+    and rates (of the greatest rate and of each).
+    """
+
+    profile: Share = FORM["deflection_profile"]
+    force: Share = FORM["force_displacement"]
+    rate: Share = FORM["spike_rate"]
+
+
 class DiagnoseKeys(Strict):
-    """Which missing effects are looked for, and on which rows the answer is tried."""
+    """Which missing effects are looked for, on which rows the answer is tried, how good any model can be (`model_error`), and how well
+    the place of an afferent is known (`placement_mm`).
+    """
 
     effects: Literal["all", "none"] | list[str] = "all"
     hold_out: list[HoldOutKeys] = []
+    model_error: FormKeys = FormKeys()
+    placement_mm: Annotated[float, Field(ge=0.0)] = PLACEMENT
 
     @field_validator("effects", mode="before")
     @classmethod

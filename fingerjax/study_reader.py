@@ -251,7 +251,8 @@ class StudyReader:
             if one.measurement in by_name:
                 with located(self.origin, "diagnose", "hold_out", index, "where"):
                     held.append(_held_out(by_name[one.measurement], one.where))
-        return Diagnose(effects, tuple(held))
+        form = {"deflection_profile": said.model_error.profile, "force_displacement": said.model_error.force}
+        return Diagnose(effects, tuple(held), {**form, "spike_rate": said.model_error.rate}, said.placement_mm)
 
     def _design(self, keys: StudyKeys, fit: Fit) -> Design | None:
         if keys.design is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from .measurements import Measurement, Receptor
 from .parameters import Parameter
 from .spelling import choose_from
 from .study_design import Design
-from .study_keys import Finger, Model
+from .study_keys import FORM, PLACEMENT, Finger, Model
 from .study_sweep import Sweep
 
 
@@ -77,11 +77,14 @@ class HeldOut:
 @dataclasses.dataclass(frozen=True)
 class Diagnose:
     """`effects`: `all`, `none`, or a tuple of names; `hold_out`: empty where whole conditions are held out
-    in turn.
+    in turn; `form`: by kind, the share of a reading that a model of the right effects may still be wrong by; `placement`: mm,
+    how well the place of an afferent is known.
     """
 
     effects: str | tuple[str, ...] = "all"
     hold_out: tuple[HeldOut, ...] = ()
+    form: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(FORM))
+    placement: float = PLACEMENT
 
 
 @dataclasses.dataclass(frozen=True)

@@ -116,6 +116,7 @@ def test_multigrid_knows_faces_that_slide(tmp_path: Path) -> None:
     assert int(ready.predict().iterations) < 60
 
 
+@pytest.mark.slow
 def test_plates_that_stick_stiffen_a_cylinder(tmp_path: Path) -> None:
     free = E * math.pi * 25.0**2 / 30.0
     one, both = (forces(cylinder(tmp_path, "held", upper, pad=3.75))[0] / free for upper in ("sliding", "held"))
@@ -177,6 +178,7 @@ def test_bodies_are_told_before_they_are_meshed() -> None:
     assert "the lower face is held" in lines
 
 
+@pytest.mark.slow
 def test_effects_that_a_cylinder_cannot_have_are_said_to_be_absent(tmp_path: Path) -> None:
     subject = FingerSubject(cylinder(tmp_path, "sliding", "sliding", pad=8.0), catalogue())
     for name in ("bone_offset", "bed_compliance", "nail_compliance", "epidermis_thickness", "dermis_thickness", "depth_gradient"):

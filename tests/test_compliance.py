@@ -98,6 +98,7 @@ def test_derivatives_in_moduli_and_poisson_ratios_match_differences(body, column
         assert difference == pytest.approx(float(forward[index]), rel=1e-5, abs=1e-6 * float(jnp.abs(forward).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_a_displacement_is_differentiable_in_material_and_load(body, mode):
     solver = MultigridCG(hierarchy(body), tolerance=1e-11)

@@ -33,6 +33,7 @@ def columns_of(body, every):
     return columns_from_matrix(sp.hstack([heights, strain_columns(body, np.array([0.52, 0.3, 0.47]))[0]]).tocsc())
 
 
+@pytest.mark.slow
 @needs_direct
 @pytest.mark.parametrize("every", [1, 9])
 def test_both_solvers_condense_to_the_same(body, every):

@@ -122,6 +122,7 @@ def test_columns_are_there_for_every_effect_and_small_ones_follow_them(subject: 
         assert np.abs((moved - base) / size - columns[key]).max() <= 0.05 * scale, key
 
 
+@pytest.mark.slow
 def test_softer_supports_and_stiffer_films_do_what_their_names_say(ready: Assembled) -> None:
     by_name = {effect.name: effect for effect in catalogue()}
     plate = ready.model.instruments.names.index("plate")
@@ -162,6 +163,7 @@ def test_thicker_dermis_has_that_much_more_of_it(ready: Assembled) -> None:
     assert after.sum() == pytest.approx(before.sum(), rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not direct_available(), reason="needs the extra fingerjax[direct]")
 def test_both_solvers_feel_the_same_springs(ready: Assembled) -> None:
     corneum = next(effect for effect in catalogue() if effect.name == "stratum_corneum")

@@ -202,6 +202,7 @@ def with_readings(study: Study, prediction: Prediction) -> Study:
     return dataclasses.replace(study, measurements=tuple(made))
 
 
+@pytest.mark.slow
 def test_two_subjects_with_their_own_epidermis_and_one_tissue_beneath_are_recovered(tmp_path: Path) -> None:
     pressed = [{"subject": subject, **row} for subject in "ab" for row in PRESSED]
     profile = [{"subject": "a", **row} for row in PROFILE]

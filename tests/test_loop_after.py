@@ -21,7 +21,7 @@ from fingerjax.loop.noise import estimate
 from fingerjax.loop.refit import Optimum, optimum
 from fingerjax.loop.sample import Sample
 from fingerjax.loop.separate import Rival, confusable, distances, next_experiments
-from fingerjax.loop.subject import NONE, Proposal
+from fingerjax.loop.subject import NONE, LogPrior, Proposal
 from fingerjax.loop.unexplained import curves, spectrum, symmetry
 from fingerjax.study_records import Prior
 
@@ -79,6 +79,18 @@ def test_priors_are_rows_of_their_own() -> None:
     assert best.settled and float(np.exp(best.raw[0])) == pytest.approx(0.3, rel=0.02)
     assert best.residual.size == len(toy.rows) + 1
     toy.priors = {"skin.modulus": Prior(0.2, 100.0)}
+    assert float(np.exp(based(toy).raw[0])) == pytest.approx(TRUE["skin.modulus"], rel=0.05)
+
+
+def test_a_prior_on_a_logarithm_pulls_by_ratios() -> None:
+    toy = Toy()
+    toy.priors = {"skin.modulus": LogPrior(0.3, 0.001)}
+    best = based(toy)
+    assert best.settled and float(np.exp(best.raw[0])) == pytest.approx(0.3, rel=0.02)
+    sample, raw = best.sample, best.raw
+    ahead = [sample.residual(best.at, raw + step * np.eye(len(raw))[0])[-1] for step in (1e-4, -1e-4)]
+    assert sample.jacobian(best.at, raw)[-1, 0] == pytest.approx(-(ahead[0] - ahead[1]) / 2e-4)
+    toy.priors = {"skin.modulus": LogPrior(0.3, 10.0)}
     assert float(np.exp(based(toy).raw[0])) == pytest.approx(TRUE["skin.modulus"], rel=0.05)
 
 

@@ -136,6 +136,7 @@ def test_slopes_at_strained_states_match_differences(everything: Assembled) -> N
         DIFFERENCED.check(slopes[:, parameter], (up - down) / (2 * h))
 
 
+@pytest.mark.slow
 @needs_direct
 def test_fingers_in_proportion_share_their_shapes(tmp_path: Path) -> None:
     """One search and one tangent for both, with forces and slopes in proportion, as each by itself has them."""
@@ -159,6 +160,7 @@ def test_fingers_in_proportion_share_their_shapes(tmp_path: Path) -> None:
     DIFFERENCED.check(slopes[:, 3], (up - down) / 2e-3)
 
 
+@pytest.mark.slow
 @needs_direct
 def test_what_is_not_found_has_no_number(everything: Assembled, strained: Strained) -> None:
     """A plate that goes through the finger; and slopes there."""

@@ -231,11 +231,13 @@ def _pooled(measurement: Measurement) -> float | None:
     return float(np.sqrt(spread / freedom)) if freedom >= 3 and spread > 0 else None
 
 
-def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: bool = True, tell: Tell = unheard) -> Assembled:
+def assemble(
+    study: Study, *, solver: str = "auto", size: float = 1.0, even: bool = False, focused: bool = True, tell: Tell = unheard
+) -> Assembled:
     """Mesh a study's finger and lay its measurements out on it. `tell(share, what)` hears of the progress.
 
-    `size`: elements so many times as large as the study's own, everywhere. `focused`: smaller ones under sharp indenters and at receptors;
-    else no more than it takes for probes to touch any.
+    `size`: elements so many times as large as the study's own, everywhere; `even`: hardly larger far from the pad. `focused`: smaller ones
+    under sharp indenters and at receptors; else no more than it takes for probes to touch any.
 
     **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
     outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
@@ -246,7 +248,7 @@ def assemble(study: Study, *, solver: str = "auto", size: float = 1.0, focused: 
     tell(0.9, "meshing")
     asked = study.finger.resolution
     fine = foci(planned, solid, asked.pad_mm, asked.least_mm or 0.0) if focused else tips(planned, solid, size * asked.pad_mm)
-    finger = mesh_of(study, solid, fine, size)
+    finger = mesh_of(study, solid, fine, size, even)
     return lay_out(study, solid, finger, wired, solver)
 
 

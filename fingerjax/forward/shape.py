@@ -31,6 +31,8 @@ from ..study import Study
 
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
 COARSEST = 1.6  # of the resolution that was asked for
+EVEN = 2.0  # largest node spacing over the pad's, of an even mesh
+RIM_SPACING = 0.8  # of the pad's spacing: nodes along the rim of the nail, of an even mesh
 Tell = Callable[[float, str], object]
 
 
@@ -71,11 +73,14 @@ def _fingertip(study: Study, tell: Tell) -> LayeredSolid:
     return layered(_outline(study, tell), _plan(study), nail, study.name)
 
 
-def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), size: float = 1.0) -> Finger:
+def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), size: float = 1.0, even: bool = False) -> Finger:
     """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for, and so are bodies
     of rings and levels.
 
     Elements `size` times as large are coarser first of all under wedges, where most of them are, for elsewhere they must follow the bone.
+    An `even` mesh is hardly coarser far from the pad, fine where the skin is let go along the rim of the nail, and all of its elements
+    scale alike. A bone that only tissue holds hangs from the nail, and forces depend on that rim as much as on the skin under the indenter:
+    errors of two such meshes differ by what their element sizes say.
     """
     said = study.finger
     if said.mesh is not None:
@@ -83,12 +88,23 @@ def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), s
     if isinstance(solid, Disc):
         pad, proximal = size * said.resolution.pad_mm, size * said.resolution.proximal_mm
         return disc_mesh(solid, Resolution(pad, max(pad, proximal)))
-    everywhere = min(size, COARSEST)
-    resolution = Resolution(everywhere * said.resolution.pad_mm, everywhere * said.resolution.proximal_mm)
     assert isinstance(solid, LayeredSolid), "a finger's surfaces come from its sections"
-    wedge = size * max(size, 1.0)
+    everywhere, wedge = (size, size) if even else (min(size, COARSEST), size * max(size, 1.0))
+    pad, coarsest = said.resolution.pad_mm, said.resolution.proximal_mm
+    resolution = Resolution(everywhere * pad, everywhere * (min(coarsest, EVEN * pad) if even else coarsest))
     focus = tuple(dataclasses.replace(one, size=one.size * (wedge if one.kind == "line" else size)) for one in focus)
+    if even and study.model.bone_kind() == "rigid":
+        focus += _rim(solid, size * RIM_SPACING * pad)
     return build_finger(solid, resolution, focus, said.mesher)
+
+
+def _rim(solid: LayeredSolid, spacing: float) -> tuple[Focus, ...]:
+    """Refinement along the four sides of the nail."""
+    (low, high), (right, left) = solid.nail.z, solid.nail.theta
+    middle, top = 0.5 * (low + high), 0.5 * (right + left)
+    wide = 0.5 * (left - right) * float(solid.radius(0, np.array([middle]), np.array([right]))[0])
+    across = [Focus("line", z, top, spacing, wide, "x", growth=1.0) for z in (low, high)]
+    return (*across, *(Focus("line", middle, theta, spacing, 0.5 * (high - low), "z", growth=1.0) for theta in (right, left)))
 
 
 def _nail(study: Study) -> Patch | None:

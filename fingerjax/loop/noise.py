@@ -1,6 +1,10 @@
 """How large the noise is, before anything is said of a misfit: from repeats, from what was stated, or not known.
 
-    Sigma = diag(sigma^2 / weight) in traces whose neighbours may be correlated + what trials share + calibration
+    Sigma = diag(sigma^2 / weight) in traces whose neighbours may be correlated + what trials share + calibration + form
+
+`form` is what no model of a finger comes nearer than, whatever its mesh: sections and layers are measured to some per cent, and laws of
+tissue and of rates hold to some per cent. Repeats do not know of it; without it they would have every effect named that is larger than the
+noise of their mean, and with enough repeats that is every effect (Kaipio & Somersalo 2007: approximation error as covariance).
 
 The verdict that a model is adequate needs repeats: three of each setting and 30 degrees of freedom. A stated standard deviation allows
 effects to be named at that noise; where nothing is known nothing is named. It is never taken from the residuals of a model.
@@ -16,12 +20,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .repeats import Repeats, from_repeats
+from .smooth import smooth
 from .subject import Rows
 
 REPLICATES, STATED, ASSUMED = "replicates", "stated", "assumed"
 FEWEST_REPEATS, FEWEST_DOF = 3, 30
 LEAST_DOF = 6.0  # of one block, below which a stated standard deviation is preferred to its repeats
 GUESS = 0.05  # share of a block's root mean square that stands in where nothing is known, so that a fit can be made at all
+FORM_REACH, FORM_ELSEWHERE = 0.1, 0.8  # length of what is wrong with the form, in ranges of a coordinate, and how alike it is elsewhere
 _POWER = {"spike_rate": 1.0}  # the variance of a count grows with its mean; of other readings, if at all, with the square
 
 
@@ -134,6 +140,9 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
     for added in rows.calibration.values():
         shared += np.outer(added, added)
         likely += np.outer(added, added)
+    if rows.form is not None:
+        wrong = smooth(rows, rows.form, FORM_REACH, FORM_ELSEWHERE)
+        shared, likely = shared + wrong, likely + wrong
     return Noise(sigma, weights, shared, likely, correlation if correlated else None, source, repeats, freedom, terms)
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..parameters import Parameter
 from .noise import Noise
-from .subject import AbstractSubject, Evaluation
+from .subject import AbstractSubject, Evaluation, LogPrior
 from .whitening import Whitener
 
 
@@ -49,22 +51,26 @@ class Sample:
 
     def residual(self, at: Evaluation, raw: Float[np.ndarray, "p"]) -> Float[np.ndarray, "sample"]:
         """(fitted rows and priors,) in standard deviations."""
-        priors = [
-            (prior.value - float(parameter.natural(value))) / prior.sd
-            for parameter, value in zip(self.subject.parameters, raw, strict=True)
-            if (prior := self.subject.priors.get(parameter.name)) is not None
-        ]
+        pairs = zip(self.subject.parameters, raw, strict=True)
+        priors = [self._prior(parameter, float(value))[0] for parameter, value in pairs if parameter.name in self.subject.priors]
         return np.concatenate([self.whiten(self.error(at)[self.chosen]), np.array(priors)])
 
     def jacobian(self, at: Evaluation, raw: Float[np.ndarray, "p"]) -> Float[np.ndarray, "sample p"]:
         """Derivative of the prediction by the raw parameters, whitened, priors below."""
         slopes = [
-            np.eye(len(raw))[number] * float(parameter.slope(raw[number])) / self.subject.priors[parameter.name].sd
+            np.eye(len(raw))[number] * self._prior(parameter, float(raw[number]))[1]
             for number, parameter in enumerate(self.subject.parameters)
             if parameter.name in self.subject.priors
         ]
         below = np.array(slopes).reshape(len(slopes), len(raw))
         return np.concatenate([self.whiten(at.theta_jacobian[self.chosen]), below])
+
+    def _prior(self, parameter: Parameter, raw: float) -> tuple[float, float]:
+        """(mean - value) / sd, and the slope of value / sd by the raw value."""
+        prior = self.subject.priors[parameter.name]
+        if isinstance(prior, LogPrior):
+            return (math.log(prior.value) - raw) / prior.sd, 1.0 / prior.sd
+        return (prior.value - float(parameter.natural(raw))) / prior.sd, float(parameter.slope(raw)) / prior.sd
 
     def columns(self, columns: Float[np.ndarray, "rows k"]) -> Float[np.ndarray, "sample k"]:
         """Columns of effects, whitened; no effect moves a prior."""

@@ -129,6 +129,7 @@ class Rows:
     - `roles`: condition -> `fit`, `veto` (decides whether an effect is kept) or `report` (touched by nothing). Conditions that are not
       named are fitted; where none is named roles are chosen.
     - `calibration`: name -> (rows,): what one standard deviation of an instrument's calibration adds to every row.
+    - `form`: (rows,): standard deviation of what is wrong with any such model, by its geometry and laws, smooth along a condition; None: 0.
     - `repeats`: (rows,) equal numbers for rows that measure the same thing; None: rows that agree in block, condition and coordinates.
     """
 
@@ -143,6 +144,7 @@ class Rows:
     stated_repeats: Mapping[str, int] = field(default_factory=dict)
     roles: Mapping[str, str] = field(default_factory=dict)
     calibration: Mapping[str, Float[np.ndarray, "rows"]] = field(default_factory=dict)
+    form: Float[np.ndarray, "rows"] | None = None
     repeats: Int[np.ndarray, "rows"] | None = None
 
     def __post_init__(self) -> None:
@@ -239,12 +241,20 @@ class Proposal:
     sigma: Float[np.ndarray, "new"]
 
 
+@dataclass(frozen=True)
+class LogPrior:
+    """What is plausible of a parameter with a log link: the logarithm is normal about that of `value`, standard deviation `sd`."""
+
+    value: float
+    sd: float
+
+
 class AbstractSubject(abc.ABC):
     """A model, its data, and the effects that it may lack.
 
     - `name`: what the data are called; `kind`: `measured` or `synthetic`.
     - `parameters`: the free base parameters, in the order of the raw vector; their values are the start.
-    - `priors`: parameter name -> normal prior in its own unit.
+    - `priors`: parameter name -> normal prior in its own unit, or on its logarithm.
     - `refinement`: element size of the finer mesh over that of the mesh.
     """
 
@@ -252,7 +262,7 @@ class AbstractSubject(abc.ABC):
     parameters: tuple[Parameter, ...]
     rows: Rows
     families: tuple[Family, ...]
-    priors: Mapping[str, Prior] = NONE  # type: ignore[assignment]
+    priors: Mapping[str, Prior | LogPrior] = NONE  # type: ignore[assignment]
     kind: str = "measured"
     refinement: float = 0.5
     version: ClassVar[str] = ""

@@ -18,12 +18,13 @@ from ..loop.refit import forget
 from ..study import Study
 from .subject import FingerSubject
 
-WORKING = 10_000  # nodes of the mesh that is fitted on, at most
-CHECKING = 50_000  # nodes of the finer one, at most
-GROWTH, FALL = 1.2, 1.7  # powers by which nodes grow as elements shrink, and fall as they grow under sharp tips first
+WORKING = 18_000  # nodes of the mesh that is fitted on, at most
+CHECKING = 55_000  # nodes of the finer one, at most
+GROWTH = 1.5  # power by which nodes grow as elements shrink, before it has been seen
 FINER = 0.5  # element size of the finer mesh over that of the mesh, where its nodes allow
 CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
-TRIES = 3  # meshes on the way to a coarser one
+TRIES = 3  # meshes on the way to one of the right number of nodes
+NEAR = 0.85  # of the nodes that are allowed: enough
 
 
 def diagnose_study(
@@ -64,32 +65,38 @@ def subject_of(
     own = assemble(study, solver=solver, tell=lambda share, what: tell(0.4 * share, what))
     if study.finger.mesh is not None:
         return FingerSubject(own, asked, solver=solver)
+    even = len(own.mesh.nodes) > WORKING
     tell(0.4, "meshing again")
-    size, working = _at_most(study, own, WORKING, solver)
+    size, working = _sized(study, WORKING, 1.0, own, solver) if even else (1.0, own)
     subject = FingerSubject(working, asked, solver=solver, size=size)
+    if FINER >= CLOSE:
+        return subject
     tell(0.7, "a finer mesh")
-    if len(own.mesh.nodes) > CHECKING or FINER * size > 1.0:
-        finer, checking = _at_most(study, own, CHECKING, solver)
-    else:
-        finer = max(FINER * size, (len(own.mesh.nodes) / CHECKING) ** (1 / GROWTH))
-        checking = assemble(study, solver=solver, size=finer) if finer < CLOSE * size else own
+    finer, checking = _finer(study, size, working, even, solver)
     if finer < CLOSE * size:
         subject.refine(checking, finer / size)
     return subject
 
 
-def _at_most(study: Study, own: Assembled, nodes: int, solver: str) -> tuple[float, Assembled]:
-    """The study on its own mesh, or on a coarser one that has about so many nodes, and how much larger its elements are."""
-    size, found = 1.0, own
-    power = FALL
+def _finer(study: Study, size: float, working: Assembled, even: bool, solver: str) -> tuple[float, Assembled]:
+    """The study on a finer mesh, and the size of its elements: half as large as the working one's, or as small as the nodes allow."""
+    finer = FINER * size
+    made = assemble(study, solver=solver, size=finer, even=even)
+    if len(made.mesh.nodes) <= CHECKING:
+        return finer, made
+    return _sized(study, CHECKING, finer, made, solver, even) if len(working.mesh.nodes) < CHECKING else (size, working)
+
+
+def _sized(study: Study, nodes: int, size: float, made: Assembled, solver: str, even: bool = True) -> tuple[float, Assembled]:
+    """The study on a mesh of about so many nodes and no more, and the size of its elements; `made` has elements of `size`."""
+    power = GROWTH
     for _ in range(TRIES):
-        if len(found.mesh.nodes) <= nodes:
+        larger = size * (len(made.mesh.nodes) / (0.95 * nodes)) ** (1 / power)
+        again = assemble(study, solver=solver, size=larger, even=even)
+        fall = math.log(len(made.mesh.nodes) / len(again.mesh.nodes))
+        if fall * (larger - size) > 0:
+            power = min(max(fall / math.log(larger / size), 0.8), 3.0)
+        size, made = larger, again
+        if NEAR * nodes <= len(made.mesh.nodes) <= nodes:
             break
-        larger = size * (1.05 * len(found.mesh.nodes) / nodes) ** (1 / power)
-        made = assemble(study, solver=solver, size=larger)
-        fall = math.log(len(found.mesh.nodes) / len(made.mesh.nodes))
-        if fall <= 0:  # as coarse as it gets
-            break
-        power = fall / math.log(larger / size)
-        size, found = larger, made
-    return size, found
+    return size, made

@@ -7,6 +7,7 @@ import numpy as np
 from ..loop.subject import Rows
 from ..measurements import Measurement
 from ..study import Study
+from ..study_records import Diagnose
 
 LABELS = ("subject", "condition", "stimulus")
 IMPOSED = {"deflection_profile": ("depth",), "force_displacement": (), "spike_rate": ("depth", "force")}
@@ -44,7 +45,42 @@ def rows_of(study: Study) -> Rows:
         sigma=np.concatenate([np.full(len(one), np.nan) if one.sigma is None else one.sigma for one in measurements]),
         stated_repeats={one.name: one.replicates for one in measurements if one.sigma is not None},
         roles=roles,
+        calibration=_placement(study, blocks, condition),
+        form=_form(study, condition),
     )
+
+
+def _form(study: Study, condition: np.ndarray) -> np.ndarray:
+    """(rows,): what any model may be wrong by: a share of a force, of the greatest deflection of a profile, of a rate and the greatest."""
+    shares = (study.diagnose or Diagnose()).form
+    kind = np.concatenate([np.full(len(one), one.kind) for one in study.measurements])
+    size = np.abs(np.concatenate([one.measured for one in study.measurements]))
+    _, group = np.unique(condition.astype(str), return_inverse=True)
+    greatest = np.zeros(group.max(initial=0) + 1)
+    np.maximum.at(greatest, group, size)
+    greatest = greatest[group]
+    by_kind = {"deflection_profile": greatest, "force_displacement": size, "spike_rate": 0.5 * (size + greatest)}
+    return sum((shares[name] * np.where(kind == name, of, 0.0) for name, of in by_kind.items()), np.zeros(len(size)))
+
+
+def _placement(study: Study, blocks: dict[str, slice], condition: np.ndarray) -> dict[str, np.ndarray]:
+    """Name -> (rows,): what rates would change by were the afferent beside its place, from the slopes of the sweeps themselves."""
+    known, found = (study.diagnose or Diagnose()).placement, {}
+    for one in study.measurements:
+        if one.kind != "spike_rate" or known == 0:
+            continue
+        slope = np.zeros(len(one))
+        for name in np.unique(condition[blocks[one.name]].astype(str)):
+            inside = np.flatnonzero(condition[blocks[one.name]].astype(str) == name)
+            place, group = np.unique(np.asarray(one.table["position"], float)[inside], return_inverse=True)
+            if len(place) > 2:
+                mean = np.bincount(group, one.measured[inside]) / np.bincount(group)
+                slope[inside] = np.gradient(mean, place)[group]
+        if slope.any():
+            whole = np.zeros(sum(map(len, study.measurements)))
+            whole[blocks[one.name]] = known * slope
+            found[f"place of the afferent of {one.name}"] = whole
+    return found
 
 
 def _conditions(one: Measurement) -> np.ndarray:

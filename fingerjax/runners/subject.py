@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
@@ -25,13 +26,14 @@ from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..forward.strained import Strained, strained_readings
 from ..forward.strained_slopes import strained_jacobian
-from ..loop.subject import AbstractSubject, Evaluation
+from ..loop.subject import AbstractSubject, Evaluation, LogPrior
 from ..parameters import Parameter
 from ..study import Prior
 from .families import agree, family
 from .rows import rows_of
 
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
+DECADE = math.log(10.0)  # plausible distance of a modulus from where the study begins, in its logarithm
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
@@ -349,13 +351,15 @@ def _with(ready: Assembled, effects: Effects, solver: str = "auto") -> Assembled
     return lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, solver, effects)
 
 
-def _priors(ready: Assembled, parameters: tuple[Parameter, ...]) -> dict[str, Prior]:
-    """What is known of a parameter, or of the one that it is an instance of."""
+def _priors(ready: Assembled, parameters: tuple[Parameter, ...]) -> dict[str, Prior | LogPrior]:
+    """What is known of a parameter, or of the one that it is an instance of; of a modulus at least that it is of the order of its start."""
     said, owner = ready.study.fit.priors, {}
     for one in parameters:
         name = one.name.split("[")[0]
         owner[one.name] = next((known for known in said if ready.model.wired.owner.get(known, known) == name), None)
-    return {name: said[known] for name, known in owner.items() if known is not None}
+    moduli = [one for one in parameters if one.name.split("[")[0].endswith(".modulus") and one.link == "log"]
+    plain: dict[str, Prior | LogPrior] = {one.name: LogPrior(one.value, DECADE) for one in moduli}
+    return plain | {name: said[known] for name, known in owner.items() if known is not None}
 
 
 def _ways(p: int, others: dict[str, Array], moved: list[str]) -> tuple[Array, dict[str, Array]]:
