@@ -1,4 +1,4 @@
-"""Which rows of a laboratory's table are used, and what each of them says: `every`, joined labels, `where` and `drop`.
+"""Which rows of a laboratory's table are used, and what each of them says: `every`, joined labels, turned signs, `where` and `drop`.
 
 All of this is done to text, before any number is read: a row that is not used is never judged.
 """
@@ -36,13 +36,15 @@ def repeated(table: Table, every: Mapping[str, float | str], origin: Origin) -> 
 
 
 def joined(table: Table, columns: Mapping[str, str | list[str]], origin: Origin) -> tuple[Table, dict[str, str]]:
-    """The table with a column for every label that several columns make together, as in trial: [sample, repeat]; and `columns` without
-    lists.
+    """The table with a column for every label that several columns make together, as in trial: [sample, repeat], and for every one that
+    is counted the other way, as in position_mm: -x_mm; and `columns` without lists.
     """
     plain: dict[str, str] = {}
     for ours, theirs in columns.items():
         if isinstance(theirs, str):
             plain[ours] = theirs
+            if theirs not in table.cells and theirs[:1] == "-" and theirs[1:] in table.cells:
+                table = dataclasses.replace(table, cells={**table.cells, theirs: [_negative(cell) for cell in table.cells[theirs[1:]]]})
             continue
         with located(origin, "columns"):
             if ours not in LABELS or len(theirs) < 2:
@@ -52,6 +54,11 @@ def joined(table: Table, columns: Mapping[str, str | list[str]], origin: Origin)
         plain[ours] = name
         table = dataclasses.replace(table, cells={**table.cells, name: [" ".join(cells) for cells in zip(*parts, strict=True)]})
     return table, plain
+
+
+def _negative(cell: str) -> str:
+    said = cell.strip()
+    return said[1:] if said.startswith("-") else f"-{said.removeprefix('+')}" if said else cell
 
 
 def chosen_rows(table: Table, where: Mapping[str, Any], drop: Mapping[str, Any] | list[dict[str, Any]], origin: Origin) -> Table:

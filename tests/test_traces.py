@@ -94,6 +94,13 @@ def test_labels_are_joined(tmp_path: Path) -> None:
     assert "repeat" in refused(tmp_path, csv, {**FORCE, "columns": {"trial": ["sample", "repaet"]}})
 
 
+def test_a_column_that_is_counted_the_other_way_is_turned(tmp_path: Path) -> None:
+    csv = "up_mm,force_N\n-0.5,0.1\n-0.7,0.2\n"
+    one = read(tmp_path, csv, {**FORCE, "columns": {"displacement_mm": "-up_mm"}})
+    assert one.table["displacement"].tolist() == [0.5, 0.7]
+    assert "-pu_mm" in refused(tmp_path, csv, {**FORCE, "columns": {"displacement_mm": "-pu_mm"}})
+
+
 def spikes() -> str:
     """Trial 1: one spike every 10 ms of the first 0.2 s of contact, one every 100 ms later; trial 2 half of that; trial 3 none."""
     lines = ["trial,time_s"]
