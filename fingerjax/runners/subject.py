@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from ..effects import Effect
 from ..effects.added import Effects
 from ..errors import InputError
+from ..fem.body import Body
 from ..fem.cholesky import Indefinite
 from ..fem.solver import AbstractSolver, solver_for
 from ..fem.tissue import AbstractTissue, Linear
@@ -112,7 +113,10 @@ class FingerSubject(AbstractSubject):
             return None
         amounts = self._amounts({key: value for key, value in phi.items() if not self._is_law(key)})
         made = Effects(self.compiled, self._made_of(amounts))
-        fine = self._value_of(self._changed(self._fine, made), raw, amounts)
+        try:
+            fine = self._value_of(self._changed(self._fine, made), raw, amounts)
+        except ValueError:  # an element turns over
+            return None
         if fine is None or not self._strained(self._amounts(phi)):
             return fine
         more = self._beyond(raw, self._amounts(phi))
@@ -292,13 +296,14 @@ class FingerSubject(AbstractSubject):
         model = self._model(amounts)
         if not keys or model is None:
             return {}
-        forces = [self._force_of(model, amounts, key) for key in keys]
-        values = self._values(raw, amounts)
-        columns = inner_slopes(model.model, values, forces)
-        return {key: np.asarray(column) for key, column in zip(keys, columns.T, strict=True)}
+        found = {key: force for key in keys if (force := self._force_of(model, amounts, key)) is not None}
+        if not found:
+            return {}
+        columns = inner_slopes(model.model, self._values(raw, amounts), list(found.values()))
+        return {key: np.asarray(column) for key, column in zip(found, columns.T, strict=True)}
 
-    def _force_of(self, model: Assembled, amounts: Amounts, key: str) -> Force:
-        """The internal force per unit of an effect, where the model is."""
+    def _force_of(self, model: Assembled, amounts: Amounts, key: str) -> Force | None:
+        """The internal force per unit of an effect, where the model is; None where a step of it is possible in neither direction."""
         way = self._ways[key]
         effect, numbers = self.effects[way.family], amounts.get(way.family, self.effects[way.family].null())
         if effect.is_law:
@@ -307,9 +312,18 @@ class FingerSubject(AbstractSubject):
         if at_null and (own := effect.force(model.model.body, model.finger, model.solid)) is not None:
             return own
         step = (way.step if way.step is not None and at_null else NEAR * way.scale) * (1 if numbers[way.name] < way.upper else -1)
-        there = amounts | {way.family: numbers | {way.name: numbers[way.name] + step}}
-        body = model_body(model, self._effects({name: each for name, each in there.items() if not self.effects[name].traced}))
-        return between(model.model.body, body, step)
+        body = self._body_with(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
+        if body is None:  # an element turns over there: the other way
+            step = -step
+            body = self._body_with(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
+        return None if body is None else between(model.model.body, body, step)
+
+    def _body_with(self, model: Assembled, amounts: Amounts) -> Body | None:
+        """The body with these effects; None where it cannot be."""
+        try:
+            return model_body(model, self._effects({name: each for name, each in amounts.items() if not self.effects[name].traced}))
+        except ValueError:
+            return None
 
     def _difference(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         moved, step = self._stepped(phi, key)
