@@ -4,6 +4,6 @@
 `model` computes them all from one condensation of the body for each material.
 """
 
-from .model import Assembled, Model, Prediction, Residuals, assemble
+from .model import Assembled, Model, Prediction, Residuals, assemble, meshed
 
-__all__ = ["Assembled", "Model", "Prediction", "Residuals", "assemble"]
+__all__ = ["Assembled", "Model", "Prediction", "Residuals", "assemble", "meshed"]

@@ -242,14 +242,22 @@ def assemble(
     **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
     outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
     """
-    solid, wired = solid_of(study, tell), wiring(study)
+    wired = wiring(study)
     _check_labels(study, wired)
-    planned = plans(study.measurements, solid, wired)
+    solid, finger = meshed(study, size=size, even=even, focused=focused, tell=tell)
+    return lay_out(study, solid, finger, wired, solver)
+
+
+def meshed(
+    study: Study, *, size: float = 1.0, even: bool = False, focused: bool = True, tell: Tell = unheard
+) -> tuple[AbstractSolid, Finger]:
+    """A study's finger and the mesh that `assemble` takes for it."""
+    solid = solid_of(study, tell)
+    planned = plans(study.measurements, solid, wiring(study))
     tell(0.9, "meshing")
     asked = study.finger.resolution
     fine = foci(planned, solid, asked.pad_mm, asked.least_mm or 0.0) if focused else tips(planned, solid, size * asked.pad_mm)
-    finger = mesh_of(study, solid, fine, size, even)
-    return lay_out(study, solid, finger, wired, solver)
+    return solid, mesh_of(study, solid, fine, size, even)
 
 
 def lay_out(

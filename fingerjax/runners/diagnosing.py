@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from ..effects import catalogue, chosen
 from ..errors import InputError
-from ..forward import Assembled, assemble
+from ..forward import assemble, meshed
 from ..forward.shape import Tell, unheard
 from ..loop.calibrate import SETS
 from ..loop.diagnosis import diagnose
@@ -18,8 +19,8 @@ from ..loop.refit import forget
 from ..study import Study
 from .subject import FingerSubject
 
-WORKING = 18_000  # nodes of the mesh that is fitted on, at most
-CHECKING = 55_000  # nodes of the finer one, at most
+WORKING = 10_000  # nodes of the mesh that is fitted on, at most
+CHECKING = 45_000  # nodes of the finer one, at most
 GROWTH = 1.5  # power by which nodes grow as elements shrink, before it has been seen
 FINER = 0.5  # element size of the finer mesh over that of the mesh, where its nodes allow
 CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
@@ -60,43 +61,44 @@ def subject_of(
     solver: str = "auto",
     tell: Tell = unheard,
 ) -> FingerSubject:
-    """A study made ready for the loop, on two meshes: its own, and a finer one; where its own is large, on a coarser one and its own."""
+    """A study made ready for the loop, on two meshes: its own, or an even one with fewer nodes, and one of the same kind that is finer."""
     asked = chosen(effects, catalogue(folder))
-    own = assemble(study, solver=solver, tell=lambda share, what: tell(0.4 * share, what))
+    said = functools.partial(assemble, study, solver=solver)
     if study.finger.mesh is not None:
-        return FingerSubject(own, asked, solver=solver)
-    even = len(own.mesh.nodes) > WORKING
-    tell(0.4, "meshing again")
-    size, working = _sized(study, WORKING, 1.0, own, solver) if even else (1.0, own)
-    subject = FingerSubject(working, asked, solver=solver, size=size)
-    if FINER >= CLOSE:
-        return subject
+        return FingerSubject(said(tell=tell), asked, solver=solver)
+    own = _nodes(study, 1.0, False, lambda share, what: tell(0.4 * share, what))
+    even = own > WORKING
+    tell(0.4, "a mesh to fit on")
+    size = _size(study, WORKING, 1.0, own) if even else 1.0
+    subject = FingerSubject(said(size=size, even=even), asked, solver=solver, size=size)
     tell(0.7, "a finer mesh")
-    finer, checking = _finer(study, size, working, even, solver)
+    finer = _finer(study, size, even) if FINER < CLOSE else size
     if finer < CLOSE * size:
-        subject.refine(checking, finer / size)
+        subject.refine(said(size=finer, even=even), finer / size)
     return subject
 
 
-def _finer(study: Study, size: float, working: Assembled, even: bool, solver: str) -> tuple[float, Assembled]:
-    """The study on a finer mesh, and the size of its elements: half as large as the working one's, or as small as the nodes allow."""
-    finer = FINER * size
-    made = assemble(study, solver=solver, size=finer, even=even)
-    if len(made.mesh.nodes) <= CHECKING:
-        return finer, made
-    return _sized(study, CHECKING, finer, made, solver, even) if len(working.mesh.nodes) < CHECKING else (size, working)
+def _nodes(study: Study, size: float, even: bool, tell: Tell = unheard) -> int:
+    """Of the mesh with elements of this size."""
+    return len(meshed(study, size=size, even=even, tell=tell)[1].nodes)
 
 
-def _sized(study: Study, nodes: int, size: float, made: Assembled, solver: str, even: bool = True) -> tuple[float, Assembled]:
-    """The study on a mesh of about so many nodes and no more, and the size of its elements; `made` has elements of `size`."""
+def _finer(study: Study, size: float, even: bool) -> float:
+    """The size of a finer mesh's elements: half as large as those of the mesh, or as small as its nodes allow."""
+    half = _nodes(study, FINER * size, even)
+    return FINER * size if half <= CHECKING else _size(study, CHECKING, FINER * size, half, even)
+
+
+def _size(study: Study, most: int, size: float, nodes: int, even: bool = True) -> float:
+    """The size of elements with which a mesh has at most about so many nodes, where one with elements of `size` has `nodes`."""
     power = GROWTH
     for _ in range(TRIES):
-        larger = size * (len(made.mesh.nodes) / (0.95 * nodes)) ** (1 / power)
-        again = assemble(study, solver=solver, size=larger, even=even)
-        fall = math.log(len(made.mesh.nodes) / len(again.mesh.nodes))
+        larger = size * (nodes / (0.95 * most)) ** (1 / power)
+        fewer = _nodes(study, larger, even)
+        fall = math.log(nodes / fewer)
         if fall * (larger - size) > 0:
             power = min(max(fall / math.log(larger / size), 0.8), 3.0)
-        size, made = larger, again
-        if NEAR * nodes <= len(made.mesh.nodes) <= nodes:
+        size, nodes = larger, fewer
+        if NEAR * most <= nodes <= most:
             break
-    return size, made
+    return size
