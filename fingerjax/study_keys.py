@@ -254,7 +254,7 @@ class HoldOutKeys(Strict):
 
 
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-FORM = {"deflection_profile": 0.01, "force_displacement": 0.01, "spike_rate": 0.05}
+FORM = {"deflection_profile": 0.01, "force_displacement": 0.01, "spike_rate": 0.1}
 PLACEMENT = 0.2  # mm
 
 

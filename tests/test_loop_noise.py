@@ -104,7 +104,7 @@ def test_without_repeats_an_outlier_is_one_among_its_own_block() -> None:
     assert outliers(toy.rows, noise, 20 * noise.sigma * np.sin(np.arange(len(residual)))).weights.min() > 0.9
 
 
-def test_what_is_wrong_with_any_model_is_smooth_and_ends_with_its_block() -> None:
+def test_what_is_wrong_with_any_model_is_alike_in_all_repeats_of_a_setting() -> None:
     toy = Toy()
     plain = estimate(toy.rows)
     wrong = 0.01 * np.abs(toy.rows.measured)
@@ -112,7 +112,7 @@ def test_what_is_wrong_with_any_model_is_smooth_and_ends_with_its_block() -> Non
     added = with_form.covariance() - plain.covariance()
     assert np.sqrt(np.diag(added)) == pytest.approx(wrong, abs=1e-12)
     assert with_form.plausible() - plain.plausible() == pytest.approx(added, abs=1e-12)  # data that are made up have it too
-    line, bar = (toy.rows.blocks[name] for name in ("line", "bar"))
-    assert not added[line, bar].any()
+    same = toy.rows.setting[:, None] == toy.rows.setting
+    assert not added[~same].any() and added[same] == pytest.approx(np.outer(wrong, wrong)[same], abs=1e-12)
     assert np.linalg.eigvalsh(added).min() > -1e-9 * np.linalg.eigvalsh(added).max()
     assert with_form.nu == plain.nu  # repeats say nothing of it

@@ -4,7 +4,9 @@
 
 `form` is what no model of a finger comes nearer than, whatever its mesh: sections and layers are measured to some per cent, and laws of
 tissue and of rates hold to some per cent. Repeats do not know of it; without it they would have every effect named that is larger than the
-noise of their mean, and with enough repeats that is every effect (Kaipio & Somersalo 2007: approximation error as covariance).
+noise of their mean, and with enough repeats that is every effect (Kaipio & Somersalo 2007: approximation error as covariance). It is the
+same in all repeats of a setting, and nothing is known of how it goes on from one setting to the next: a covariance that let readings be
+wrong all together would have them fitted by a model that lies below all of them.
 
 The verdict that a model is adequate needs repeats: three of each setting and 30 degrees of freedom. A stated standard deviation allows
 effects to be named at that noise; where nothing is known nothing is named. It is never taken from the residuals of a model.
@@ -20,14 +22,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .repeats import Repeats, from_repeats
-from .smooth import smooth
 from .subject import Rows
 
 REPLICATES, STATED, ASSUMED = "replicates", "stated", "assumed"
 FEWEST_REPEATS, FEWEST_DOF = 3, 30
 LEAST_DOF = 6.0  # of one block, below which a stated standard deviation is preferred to its repeats
 GUESS = 0.05  # share of a block's root mean square that stands in where nothing is known, so that a fit can be made at all
-FORM_REACH, FORM_ELSEWHERE = 0.1, 0.8  # length of what is wrong with the form, in ranges of a coordinate, and how alike it is elsewhere
 _POWER = {"spike_rate": 1.0}  # the variance of a count grows with its mean; of other readings, if at all, with the square
 
 
@@ -141,7 +141,7 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
         shared += np.outer(added, added)
         likely += np.outer(added, added)
     if rows.form is not None:
-        wrong = smooth(rows, rows.form, FORM_REACH, FORM_ELSEWHERE)
+        wrong = np.outer(rows.form, rows.form) * (rows.setting[:, None] == rows.setting)
         shared, likely = shared + wrong, likely + wrong
     return Noise(sigma, weights, shared, likely, correlation if correlated else None, source, repeats, freedom, terms)
 

@@ -129,7 +129,7 @@ class Rows:
     - `roles`: condition -> `fit`, `veto` (decides whether an effect is kept) or `report` (touched by nothing). Conditions that are not
       named are fitted; where none is named roles are chosen.
     - `calibration`: name -> (rows,): what one standard deviation of an instrument's calibration adds to every row.
-    - `form`: (rows,): standard deviation of what is wrong with any such model, by its geometry and laws, smooth along a condition; None: 0.
+    - `form`: (rows,): standard deviation of what is wrong with any such model, by its geometry and laws, alike in all repeats; None: 0.
     - `repeats`: (rows,) equal numbers for rows that measure the same thing; None: rows that agree in block, condition and coordinates.
     """
 

@@ -34,7 +34,7 @@ from .families import agree, family
 from .rows import rows_of
 
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
-DECADE = math.log(10.0)  # plausible distance of a modulus from where the study begins, in its logarithm
+DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm about where the study begins: a factor of ten is two of them
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
