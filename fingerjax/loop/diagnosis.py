@@ -8,6 +8,7 @@ diagnosis.record()              everything, as JSON
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Mapping
 
@@ -19,7 +20,7 @@ from ..spelling import choose_from
 from . import heldout
 from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
-from .explanations import Explanation, Inquiry, main
+from .explanations import Explanation, Inquiry, first, main
 from .findings import Findings
 from .meshguard import MeshGuard, correction, guard, leftover, share_left, unchecked
 from .nearest import nearest
@@ -27,11 +28,13 @@ from .noise import Noise, estimate, outliers
 from .record import Diagnosis, Planted
 from .refit import Keep, Optimum, forget, optimum
 from .sample import Sample
+from .score import Ranking, rank
 from .separate import Rival, next_experiments
 from .subject import NONE, AbstractSubject, Family
 from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide
 from .writing import written
 
+ASTRAY = math.log(3.0)  # of the logarithm of a modulus: farther from where the study began a fit may imitate what is missing
 ROUNDS, SAME = 4, 0.5  # times that the mesh is asked, and change of its answer, in standard errors of all rows together, that is none
 Tell = Callable[[float, str], object]
 
@@ -73,6 +76,7 @@ def investigate(
     singles, pairs = [], []
     inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.6))
     if asks_for_effects(noise, base):
+        inquiry.early = _early(best, families)
         singles = inquiry.singles()
         if not any(one.in_set for one in singles) and main(singles) is None:
             pairs = inquiry.pairs(singles)
@@ -139,6 +143,27 @@ def _looked(
         return look(best, (), alpha=alpha, seed=seed), {}
     columns = best.sample.subject.columns(best.raw)
     return look(best, families, alpha=alpha, seed=seed), columns
+
+
+def _early(best: Optimum, families: tuple[Family, ...]) -> Ranking | None:
+    """The families ranked where the study began; None where the base fit ended near there, or the model has no answer there."""
+    subject, raw = best.sample.subject, first(best.sample)
+    if np.abs(best.raw - raw)[_moduli(subject)].max(initial=0.0) < ASTRAY:
+        return None
+    at = subject.evaluate(raw, NONE, ())
+    offset = correction(subject, raw, NONE, at) if best.sample.offset.any() and at.usable else None
+    sample = best.sample if offset is None else best.sample.corrected(offset)
+    if not at.usable:
+        return None
+    there = dataclasses.replace(
+        best, sample=sample, raw=raw, at=at, residual=sample.residual(at, raw), jacobian=sample.jacobian(at, raw),
+        free=np.ones(len(raw), dtype=bool), settled=False,
+    )  # fmt: skip
+    return rank(there, families, subject.columns(raw))
+
+
+def _moduli(subject: AbstractSubject) -> Bool[np.ndarray, "p"]:
+    return np.array([".modulus" in parameter.name and parameter.link == "log" for parameter in subject.parameters], dtype=bool)
 
 
 def _rivals(base: Look, verdict: Verdict, singles: list[Explanation]) -> list[Rival]:

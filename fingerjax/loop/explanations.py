@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import zip_longest
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,7 +25,8 @@ from . import heldout
 from .adequacy import Look, look
 from .meshguard import correction
 from .refit import Keep, Optimum, forget, optimum
-from .score import Node, combined
+from .sample import Sample
+from .score import Node, Ranking, combined
 from .subject import Column, Family
 
 FAMILIES, NODES = 7, 2  # refitted, best first
@@ -102,6 +104,8 @@ class Explanation:
 class Inquiry:
     """A base fit that was rejected, and what is asked of it.
 
+    - `early`: the families ranked where the study began, where the base fit ended far from there: a fit that bends its parameters to
+      imitate an effect hides that effect from a score at its end.
     - `held` (rows,): conditions with a veto. `margin`: what the mesh asks on top of the critical value.
     - `kept`: stores finished searches by name. `tell(share, what)` hears of the progress.
     """
@@ -114,6 +118,7 @@ class Inquiry:
     margin: float = 0.0
     kept: Keep = forget
     tell: Tell = lambda share, what: None
+    early: Ranking | None = None
     found: dict[str, Explanation] = field(default_factory=dict)
     leading: float = 0.0  # the largest fall of RSS so far
 
@@ -137,10 +142,15 @@ class Inquiry:
         return self.found[family]
 
     def _fitted(self, node: Node) -> Optimum:
-        sample = self.base.best.sample
+        sample, begun = self.base.best.sample, list(starts(node, self.base.best))
+        if self.early is not None:
+            family = self.early[node.columns[0].family]
+            same = [one for one in family.nodes if one.columns == node.columns]
+            changes = {one.key: _towards(one, same[0].change[one.key]) for one in node.columns} if same else begun[-1][1]
+            begun = [(first(sample), changes)]
         fits = [
             optimum(sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept, enough=self.enough)
-            for number, (raw, start) in enumerate(starts(node, self.base.best))
+            for number, (raw, start) in enumerate(begun)
         ]
         return min(fits, key=_misfit)
 
@@ -200,11 +210,14 @@ class Inquiry:
         return min(fits, key=_misfit)
 
     def singles(self) -> list[Explanation]:
-        """The best families by score, refitted, best first."""
-        ranked = self.base.ranking.testable[:FAMILIES]
-        for number, score in enumerate(ranked):
-            self.tell(number / len(ranked), f"refit with {score.family.name}")
-            self.single(score.family.name)
+        """The best families by score, refitted, best first; where there are two rankings, by turns."""
+        late = [score.family.name for score in self.base.ranking.testable]
+        early = [] if self.early is None else [score.family.name for score in self.early.testable if score.family.name in late]
+        turns = [name for pair in zip_longest(early, late) for name in pair if name is not None]
+        ranked = list(dict.fromkeys(turns))[:FAMILIES]
+        for number, name in enumerate(ranked):
+            self.tell(number / len(ranked), f"refit with {name}")
+            self.single(name)
         return sorted(self.found.values(), key=lambda one: -_number(one.delta))
 
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
@@ -256,8 +269,12 @@ def starts(node: Node, best: Optimum) -> Iterator[tuple[Float[np.ndarray, "p"], 
     if not astray:
         yield best.raw, {one.key: _towards(one, node.change[one.key]) for one in node.columns}
     if astray or any(abs(node.change[one.key]) > one.scale for one in node.columns):
-        first = np.array([parameter.raw() for parameter in best.sample.subject.parameters])
-        yield first, {one.key: _towards(one, math.copysign(0.5 * one.scale, node.change[one.key])) for one in node.columns}
+        yield first(best.sample), {one.key: _towards(one, math.copysign(0.5 * one.scale, node.change[one.key])) for one in node.columns}
+
+
+def first(sample: Sample) -> Float[np.ndarray, "p"]:
+    """Where the study began, raw."""
+    return np.array([parameter.raw() for parameter in sample.subject.parameters])
 
 
 def _towards(column: Column, change: float) -> float:
