@@ -200,6 +200,11 @@ def test_films_beds_and_tensions_store_what_theory_says() -> None:
     assert energy(film(flat, 6, 0.4), lift) == pytest.approx(0.0, abs=1e-18)
     assert energy(tension(flat, 6), lift) == pytest.approx(0.5 * (0.02**2 + 0.01**2), rel=1e-12)
     assert energy(bed(flat, 6), np.full((6, 3), 0.1)) == pytest.approx(0.5 * 3 * 0.01, rel=1e-12)
+    # No motion of six nodes goes unnoticed, and the integral of the square of a quadratic is exact.
+    assert np.linalg.eigvalsh(bed(flat, 6).toarray()).min() > 1e-4
+    bowl = np.zeros((6, 3))
+    bowl[:, 1] = SQUARE[:, 0] ** 2
+    assert energy(bed(flat, 6), bowl) == pytest.approx(0.5 * 16 / 15, rel=1e-12)  # of x^4 over the triangle
 
 
 def context(time: np.ndarray, displacement: np.ndarray) -> Context:
