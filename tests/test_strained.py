@@ -56,6 +56,7 @@ def rows(found: Strained) -> np.ndarray:
 
 
 @needs_direct
+@pytest.mark.slow
 @pytest.mark.parametrize("law", NULLS.values(), ids=NULLS)
 def test_null_tissue_reads_what_the_linear_engine_reads(everything: Assembled, law: AbstractTissue) -> None:
     found, linear = strained_readings(everything.model, at(), law), everything.predict(at())

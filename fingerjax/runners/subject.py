@@ -264,12 +264,14 @@ class FingerSubject(AbstractSubject):
             return self._failed(len(raw), len(moving))
         added, found, rough = more
 
+        values = self._values(raw, amounts)
+
         def of(at: Array) -> tuple[dict[str, Any], AbstractTissue]:
             named = {one.name: one.natural(at[number]) for number, one in enumerate(self.parameters)}
             said = {name: dict(numbers) for name, numbers in amounts.items()}
             for number, key in enumerate(laws):
                 said[self._ways[key].family][self._ways[key].name] = at[len(raw) + number]
-            return self._values(raw, amounts) | named, self._effects(said).law(Linear())
+            return values | named, self._effects(said).law(Linear())
 
         slopes = np.asarray(strained_jacobian(rough.model, of, jnp.asarray([*raw, *(phi[key] for key in laws)]), found))
         there = self._linearised(rough, raw, amounts, ())
