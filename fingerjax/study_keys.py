@@ -260,7 +260,7 @@ PLACEMENT = 0.2  # mm
 
 class FormKeys(Strict):
     """Share of a reading that even the right model is wrong by, through geometry and laws: profiles (of the greatest deflection), forces,
-    and rates (of the greatest rate and of each).
+    and rates (of the greatest rate).
     """
 
     profile: Share = FORM["deflection_profile"]

@@ -51,7 +51,7 @@ def rows_of(study: Study) -> Rows:
 
 
 def _form(study: Study, condition: np.ndarray) -> np.ndarray:
-    """(rows,): what any model may be wrong by: a share of a force, of the greatest deflection of a profile, of a rate and the greatest."""
+    """(rows,): what any model may be wrong by: a share of a force, and of the greatest deflection of a profile or rate of a sweep."""
     shares = (study.diagnose or Diagnose()).form
     kind = np.concatenate([np.full(len(one), one.kind) for one in study.measurements])
     size = np.abs(np.concatenate([one.measured for one in study.measurements]))
@@ -59,7 +59,7 @@ def _form(study: Study, condition: np.ndarray) -> np.ndarray:
     greatest = np.zeros(group.max(initial=0) + 1)
     np.maximum.at(greatest, group, size)
     greatest = greatest[group]
-    by_kind = {"deflection_profile": greatest, "force_displacement": size, "spike_rate": 0.5 * (size + greatest)}
+    by_kind = {"deflection_profile": greatest, "force_displacement": size, "spike_rate": greatest}
     return sum((shares[name] * np.where(kind == name, of, 0.0) for name, of in by_kind.items()), np.zeros(len(size)))
 
 
