@@ -116,3 +116,4 @@ def test_what_is_wrong_with_any_model_is_alike_in_all_repeats_of_a_setting() -> 
     assert not added[~same].any() and added[same] == pytest.approx(np.outer(wrong, wrong)[same], abs=1e-12)
     assert np.linalg.eigvalsh(added).min() > -1e-9 * np.linalg.eigvalsh(added).max()
     assert with_form.nu == plain.nu  # repeats say nothing of it
+    assert "model_error" in with_form.allows() and "model_error" not in plain.allows()

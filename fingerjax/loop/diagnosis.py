@@ -151,10 +151,10 @@ def _early(best: Optimum, families: tuple[Family, ...]) -> Ranking | None:
     if np.abs(best.raw - raw)[_moduli(subject)].max(initial=0.0) < ASTRAY:
         return None
     at = subject.evaluate(raw, NONE, ())
-    offset = correction(subject, raw, NONE, at) if best.sample.offset.any() and at.usable else None
-    sample = best.sample if offset is None else best.sample.corrected(offset)
     if not at.usable:
         return None
+    offset = correction(subject, raw, NONE, at) if best.sample.offset.any() else None
+    sample = best.sample if offset is None else best.sample.corrected(offset)
     there = dataclasses.replace(
         best, sample=sample, raw=raw, at=at, residual=sample.residual(at, raw), jacobian=sample.jacobian(at, raw),
         free=np.ones(len(raw), dtype=bool), settled=False,

@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Float
 
 from .refit import Optimum
-from .smooth import smooth
 from .subject import AbstractSubject, Evaluation, Rows
 from .whitening import Projection
 
@@ -100,7 +99,17 @@ def share_left(refinement: float) -> float:
 
 def leftover(rows: Rows, offset: Float[np.ndarray, "rows"], rho: float = RHO) -> Float[np.ndarray, "rows rows"]:
     """Sigma_disc, block by block."""
-    return smooth(rows, rho * np.abs(offset), REACH, ELSEWHERE)
+    whole = np.zeros((len(rows), len(rows)))
+    for name, where in rows.blocks.items():
+        condition = rows.condition[where]
+        alike = np.where(condition[:, None] == condition, 1.0, ELSEWHERE)
+        for values in rows.coordinates.get(name, {}).values():
+            span = float(np.ptp(values))
+            place = np.asarray(values, dtype=float) / (REACH * span) if span > 0 else np.zeros(len(condition))
+            alike = alike * np.exp(-0.5 * (place[:, None] - place) ** 2)
+        size = rho * np.abs(offset[where])
+        whole[where, where] = np.outer(size, size) * alike
+    return whole
 
 
 def guard(best: Optimum, offset: Float[np.ndarray, "rows"], left: Float[np.ndarray, "rows rows"], rho: float = RHO) -> MeshGuard:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -41,6 +41,7 @@ class Noise:
     - `correlation` (rows, rows): of what is left, 1 on the diagonal; None where it is the identity.
     - `source`: block -> `replicates`, `stated` or `assumed`; `repeats`: block -> the typical number of them.
     - `freedom`: block -> degrees of freedom of its pure error, inf where its noise is stated without saying from how many.
+    - `beside`: block -> what any model may be wrong by and what calibration leaves open, root mean square in standard deviations of a row.
     - `terms`: block -> standard deviations of `trial gain`, `trial zero`, `trace gain`, `trace zero`, and `neighbours`.
     """
 
@@ -53,6 +54,7 @@ class Noise:
     repeats: Mapping[str, float]
     freedom: Mapping[str, float]
     terms: Mapping[str, dict[str, float]]
+    beside: Mapping[str, float] = field(default_factory=dict)
 
     def covariance(self) -> Float[np.ndarray, "rows rows"]:
         """Sigma without what the mesh leaves."""
@@ -91,7 +93,11 @@ class Noise:
         return self.nu if self.nu > 0 else math.inf
 
     def allows(self) -> str:
-        """What may be said with this noise, in a sentence."""
+        """What may be said with this noise, and what misfit is put down to the model as it is."""
+        known = [f"{size:.2g} times the noise in {name}" for name, size in self.beside.items() if size > 0]
+        return self._judged() + (f" Misfit of about {', '.join(known)} is no news (model_error, placement_mm)." if known else "")
+
+    def _judged(self) -> str:
         if self.repeated:
             return "Repeats tell the noise: effects may be named, and the model may be called adequate."
         unknown = [name for name, source in self.source.items() if source == ASSUMED]
@@ -143,7 +149,9 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
     if rows.form is not None:
         wrong = np.outer(rows.form, rows.form) * (rows.setting[:, None] == rows.setting)
         shared, likely = shared + wrong, likely + wrong
-    return Noise(sigma, weights, shared, likely, correlation if correlated else None, source, repeats, freedom, terms)
+    more = sum((np.asarray(added) ** 2 for added in rows.calibration.values()), np.zeros(n) if rows.form is None else rows.form**2)
+    beside = {name: float(np.sqrt(np.mean(more[where] / sigma[where] ** 2))) for name, where in rows.blocks.items()}
+    return Noise(sigma, weights, shared, likely, correlation if correlated else None, source, repeats, freedom, terms, beside)
 
 
 def _of_block(
