@@ -11,8 +11,10 @@ import pytest
 from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy
 
 from fingerjax.errors import InputError
+from fingerjax.loop import diagnosis
 from fingerjax.loop.diagnosis import diagnose
 from fingerjax.loop.record import Diagnosis
+from fingerjax.loop.score import rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
 from fingerjax.parameters import Parameter
 
@@ -55,6 +57,17 @@ def test_one_effect_is_named_with_its_size_and_the_base_is_set_right(key: str, s
     wrong = [abs(math.log(said.theta[name].value / TRUE[name])) for said in (found.base, found.after) for name in TRUE]
     assert sum(wrong[5:]) < sum(wrong[:5])
     assert refit(found, key.split(".")[0]).delta > found.critical.maxT**2
+
+
+def test_a_ranking_where_the_study_began_leads_to_the_same_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(diagnosis, "ASTRAY", 0.0)  # as if every base fit had gone astray
+    monkeypatch.setattr(diagnosis, "rank", lambda *given: asked.append(rank(*given)) or asked[-1])
+    found = verdict(truth={"contact_offset.offset": 0.06})
+    assert found.verdict.kind == "attributed" and found.verdict.families == ["contact_offset"]
+    (early,) = asked
+    assert {score.family.name for score in early.scores} == {family.name for family in FAMILIES}
+    assert early.testable[0].statistic > 5.0
 
 
 def test_a_tilt_that_vanishes_to_first_order_is_found_by_its_secant() -> None:

@@ -32,6 +32,7 @@ from ..study import Study
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
 COARSEST = 1.6  # of the resolution that was asked for
 EVEN = 2.0  # largest node spacing over the pad's, of an even mesh
+ROUND = 4.0  # node spacings to a finger's largest radius, at least, of an even mesh
 RIM_SPACING = 0.8  # of the pad's spacing: nodes along the rim of the nail, of an even mesh
 Tell = Callable[[float, str], object]
 
@@ -92,6 +93,9 @@ def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), s
     everywhere, wedge = (size, size) if even else (min(size, COARSEST), size * max(size, 1.0))
     pad, coarsest = said.resolution.pad_mm, said.resolution.proximal_mm
     resolution = Resolution(everywhere * pad, everywhere * (min(coarsest, EVEN * pad) if even else coarsest))
+    if even:  # as round as a finger must be to be meshed at all
+        round_ = solid.largest_radius / ROUND
+        resolution = Resolution(min(resolution.pad, round_), min(resolution.coarsest, EVEN * round_))
     focus = tuple(dataclasses.replace(one, size=one.size * (wedge if one.kind == "line" else size)) for one in focus)
     if even and study.model.bone_kind() == "rigid":
         focus += _rim(solid, size * RIM_SPACING * pad)
