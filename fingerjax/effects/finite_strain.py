@@ -9,7 +9,7 @@ from .effect import Amount, Effect, Size
 
 
 class FiniteStrainEffect(Effect):
-    """From Hooke's law at 0 to compressible neo-Hookean kinematics at 1."""
+    """From Hooke's law at 0 to compressible neo-Hookean kinematics at 1: strains and turns count that many times."""
 
     name = "finite_strain"
     acts_on = "tissue"

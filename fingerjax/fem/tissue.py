@@ -18,7 +18,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-SERIES_BELOW, TERMS = 0.5, 16  # (e^x - 1)/x by its series up to here: the rest is below rounding, in three derivatives too
+SERIES_BELOW, LOG_SERIES_BELOW, TERMS = 0.5, 0.1, 16  # series are taken up to here: the rest is below rounding, in three derivatives too
 
 
 class AbstractTissue(eqx.Module):
@@ -38,14 +38,15 @@ class Linear(AbstractTissue):
 
 
 class FiniteStrain(AbstractTissue):
-    """Compressible neo-Hookean tissue, on a straight way from Hooke's law.
+    """Compressible neo-Hookean tissue, whose turns and strains count s times.
 
-        W = (1 - s) W_linear + s W_neo,    W_neo = mu/2 (tr C - 3 - 2 ln J) + lambda/4 (J^2 - 1 - 2 ln J)
+        W_s(H) = W_neo(s H) / s^2,    W_neo(H) = mu/2 (tr C - 3 - 2 ln J) + lambda/4 (J^2 - 1 - 2 ln J)
 
-    with F = I + H, J = det F, C = F'F.
+    with F = I + H, J = det F, C = F'F: the answer to displacements s times as large, read on a scale 1/s times as fine.
 
-    At `homotopy` s = 0 this is `Linear` to the last bit, with a finite slope there; at s = 1 it is frame indifferent and polyconvex.
-    Between, it is a mixture of the two and no law of nature. Wherever s > 0, an inverted point (J <= 0) has the energy NaN.
+    At `homotopy` s = 0 this is `Linear` to the last bit, with a finite slope there; at s = 1 it is frame indifferent and polyconvex. At
+    every s one measure of volume resists, so that nearly incompressible tissue is not held by two; a weighted sum of both energies would do
+    that, and is far stiffer at s = 0.02 than at either end. An element that s times its displacement turns inside out has the energy NaN.
 
     Bonet & Wood (Nonlinear continuum mechanics for finite element analysis, 2nd ed. 2008, chapter 6: the shear part), Simo & Hughes
     (Computational inelasticity, 1998, chapter 9: the volumetric part), Ciarlet & Geymonat (1982: the two together).
@@ -54,12 +55,16 @@ class FiniteStrain(AbstractTissue):
     homotopy: Float[Array, ""] = eqx.field(default=1.0, converter=lambda s: jnp.asarray(s, float))
 
     def density(self, gradient: Float[Array, "3 3"], lame: Float[Array, "2"], layer: Int[Array, ""]) -> Float[Array, ""]:
-        linear = Linear().density(gradient, lame, layer)
-        growth = volume_growth(gradient)
-        upright = growth > -1.0
-        further = _neo_hookean(gradient, jnp.where(upright, growth, 0.0), lame) - linear
+        s, trace, third = self.homotopy, jnp.trace(gradient), _third(gradient)
+        bend = _second(gradient) + s * third
+        growth = trace + s * bend  # (det(I + s H) - 1) / s
+        upright = s * growth > -1.0
+        growth = jnp.where(upright, growth, 0.0)
+        # Beyond Hooke's law, per s: what is linear and quadratic in H cancels on paper.
+        volume, log = bend * (growth + trace), growth**3 * log_remainder(s * growth)
+        further = lame[1] * (volume / 2 + log - third) + lame[0] / 2 * (volume + log)
         # Multiplied, not chosen: a branch of constants would have no slope, and a force of zero is no warning.
-        return linear + self.homotopy * further * jnp.where(upright | (self.homotopy == 0.0), 1.0, jnp.nan)
+        return Linear().density(gradient, lame, layer) + s * further * jnp.where(upright, 1.0, jnp.nan)
 
 
 class Exponential(AbstractTissue):
@@ -80,8 +85,7 @@ class Exponential(AbstractTissue):
 
 def volume_growth(gradient: Float[Array, "3 3"]) -> Float[Array, ""]:
     """det(I + H) - 1 without the loss of digits in the difference: the sum of H's three invariants."""
-    a, b, c = gradient
-    return jnp.trace(gradient) + _second(gradient) + jnp.sum(a * jnp.cross(b, c))
+    return jnp.trace(gradient) + _second(gradient) + _third(gradient)
 
 
 def relative_growth(x: Float[Array, ""]) -> Float[Array, ""]:
@@ -94,12 +98,18 @@ def relative_growth(x: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.where(near, series, jnp.expm1(large) / large)
 
 
-def _neo_hookean(gradient: Float[Array, "3 3"], growth: Float[Array, ""], lame: Float[Array, "2"]) -> Float[Array, ""]:
-    # tr C - 3 = 2 tr H + H:H and j = J - 1 = tr H + II + III, so that what is linear in H cancels on paper.
-    lam, mu = lame
-    beyond = growth - jnp.log1p(growth)
-    return mu * (jnp.sum(gradient * gradient) / 2 - (growth - jnp.trace(gradient)) + beyond) + lam / 4 * (growth**2 + 2 * beyond)
+def log_remainder(x: Float[Array, ""]) -> Float[Array, ""]:
+    """c(x) of x - ln(1 + x) = x^2 (1/2 + x c(x)), x > -1: -1/3 at 0 and smooth there."""
+    near = jnp.abs(x) < LOG_SERIES_BELOW
+    small, large = jnp.where(near, x, 0.0), jnp.where(near, 1.0, x)
+    series = jnp.polyval(jnp.array([(-1.0) ** (n + 1) / (n + 3) for n in reversed(range(TERMS))]), small)
+    return jnp.where(near, series, ((large - jnp.log1p(large)) / large**2 - 0.5) / large)
 
 
 def _second(gradient: Float[Array, "3 3"]) -> Float[Array, ""]:
     return (jnp.trace(gradient) ** 2 - jnp.sum(gradient * gradient.T)) / 2
+
+
+def _third(gradient: Float[Array, "3 3"]) -> Float[Array, ""]:
+    a, b, c = gradient
+    return jnp.sum(a * jnp.cross(b, c))

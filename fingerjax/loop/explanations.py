@@ -204,10 +204,11 @@ class Inquiry:
         return both if both.best.settled and first.best.rss - both.best.rss > self.needed else None
 
     def _added(self, first: Explanation, node: Node) -> Optimum:
-        columns = (*first.best.columns, *node.columns)
+        sample, columns = first.best.sample, (*first.best.columns, *node.columns)
+        begun = [(raw, {**first.best.phi, **start}) for raw, start in starts(node, first.best)]
         fits = [
-            optimum(first.best.sample, columns, raw, {**first.best.phi, **start}, name=_label(columns, number), kept=self.kept)
-            for number, (raw, start) in enumerate(starts(node, first.best))
+            optimum(sample, columns, raw, start, name=_label(columns, number), kept=self.kept, enough=self.enough)
+            for number, (raw, start) in enumerate(begun)
         ]
         return min(fits, key=_misfit)
 
@@ -223,19 +224,19 @@ class Inquiry:
         return sorted(self.found.values(), key=lambda one: -_number(one.delta))
 
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
-        """Two effects at once: the leading singles, each with what its own residual asks for."""
+        """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance."""
         leads = [one for one in singles if one.significant][:LEADS]
         found: dict[frozenset[str], Explanation] = {}
         for number, lead in enumerate(leads):
             self.tell(number / len(leads), f"{lead.name} with a second effect")
             for node in self._rivals(lead):
                 names = (lead.families[0], node.columns[0].family)
+                if frozenset(names) in found:
+                    continue
                 fit = self._added(lead, node)
-                if fit.settled:
-                    pair = self._explained(names, fit, {names[1]: lead.best.rss, names[0]: self.single(names[1]).best.rss})
-                    known = found.get(frozenset(names))
-                    if known is None or pair.best.rss < known.best.rss:
-                        found[frozenset(names)] = pair
+                if fit.settled and lead.best.rss - fit.rss > self.needed:
+                    without = {names[1]: lead.best.rss, names[0]: self.single(names[1]).best.rss}
+                    found[frozenset(names)] = self._explained(names, fit, without)
         return sorted(found.values(), key=lambda one: -_number(one.delta))
 
     def enlarged(self, lead: Explanation) -> Iterator[Explanation]:
