@@ -2,7 +2,7 @@
 
 The cases of a rig that share pose and material are a load path. Each begins with the last one's displacement, or with that of the same
 case at neighbouring values, and is looked for with a stiffness that is kept: the linear engine's, or the tangent of some state on the way
-where that pays (`contact.chord`). What is found nowhere on this way is left to Newton's method (`contact.strained`).
+where that pays (`contact.chord`). What is not found so is looked for in steps, and left to Newton's method at last (`contact.strained`).
 
 What is read is what the linear engine reads, of another displacement: heights of the skin, and receptor strains as the symmetric part of
 the displacement gradient.
@@ -37,7 +37,8 @@ from .readings import Instruments, Prediction
 from .rigs import Rig
 from .wiring import Values
 
-RENEWALS = 4  # tangents that are tried for one case before it is left to Newton
+RENEWALS = 4  # tangents that are tried on one way
+HALVINGS = 3  # of the way from the equilibrium before, ere a case is left to Newton's method
 
 
 class Ended(NamedTuple):
@@ -186,7 +187,24 @@ def _found(
     last: Resting | None,
     chording: Chording,
 ) -> tuple[Ended, Chord]:
-    """One equilibrium: with the chord at hand, then with tangents on the way, at last by Newton's method from the equilibrium before."""
+    """One equilibrium: from where it is looked for first, then from the equilibrium before, by halves of the way, at last by Newton."""
+    ended, chord = _by_chords(tissue, place, chord, imposed, begin, chording)
+    if ended.result.ok or last is None:
+        return ended if ended.result.ok else _by_newton(tissue, place, imposed, last, chording, ended), chord
+    spent = ended
+    if begin[0] is not last.displacement:
+        ended, chord = _by_chords(tissue, place, chord, imposed, (last.displacement, last.contact.active), chording)
+        spent = _sum(spent, ended)
+    if not ended.result.ok:
+        ended, chord = _by_halves(tissue, place, chord, imposed, last, chording, HALVINGS)
+        spent = _sum(spent, ended)
+    return (spent if spent.result.ok else _by_newton(tissue, place, imposed, last, chording, spent)), chord
+
+
+def _by_chords(
+    tissue: Tissue, place: Place, chord: Chord, imposed: Imposed, begin: tuple[np.ndarray, Array], chording: Chording
+) -> tuple[Ended, Chord]:
+    """With the chord at hand, then with tangents on the way."""
     (u, active), iterations, factorisations = begin, 0, 0
     for _ in range(RENEWALS + 1):
         ended = Search(tissue, place, chord, imposed, chording).run(u, active)
@@ -200,14 +218,48 @@ def _found(
         if renewed is None:
             break
         chord, factorisations = renewed, factorisations + 1
+    return Ended(None, iterations, factorisations, 0, False, RESULTS.no_equilibrium), chord
+
+
+def _by_halves(
+    tissue: Tissue, place: Place, chord: Chord, imposed: Imposed, last: Resting, chording: Chording, halvings: int
+) -> tuple[Ended, Chord]:
+    """In two steps from the equilibrium before, each of which may be halved again."""
+    spent = Ended(None, 0, 0, 0, False, RESULTS.no_equilibrium)
+    for goal in (_half_way(last, imposed), imposed):
+        ended, chord = _by_chords(tissue, place, chord, goal, (last.displacement, last.contact.active), chording)
+        if not ended.result.ok and halvings > 1:
+            further, chord = _by_halves(tissue, place, chord, goal, last, chording, halvings - 1)
+            ended = _sum(ended, further)
+        spent = _sum(spent, ended)
+        if ended.rest is None:
+            break
+        last = ended.rest
+    return spent, chord
+
+
+def _half_way(last: Resting, imposed: Imposed) -> Imposed:
+    if imposed.travel is not None:
+        return Imposed(0.5 * (float(last.contact.travel) + imposed.travel), None)
+    assert imposed.force is not None
+    return Imposed(None, 0.5 * (float(last.contact.force) + imposed.force))
+
+
+def _sum(before: Ended, now: Ended) -> Ended:
+    """How the second of two searches ended, with the work of both."""
+    return now._replace(iterations=before.iterations + now.iterations, factorisations=before.factorisations + now.factorisations)
+
+
+def _by_newton(tissue: Tissue, place: Place, imposed: Imposed, last: Resting | None, chording: Chording, spent: Ended) -> Ended:
+    """By Newton's method from the equilibrium before, its end told as a chord tells it."""
     travel, force = (None if value is None else jnp.asarray(value) for value in imposed)
     found = find(tissue, Indenting(place.columns, place.interface, travel, force), Newton(chording.tolerance), _state(last))
     near = tangent_chord(tissue, place, np.asarray(found.state.displacement).ravel()) if found.result.ok else None
     if near is None:
-        return Ended(None, iterations, factorisations, found.iterations, False, found.result), chord
+        return spent._replace(newton=found.iterations, result=found.result)
     again = Search(tissue, place, near, imposed, chording).run(np.asarray(found.state.displacement).ravel(), found.state.detail.active)
-    rest = again.rest if again.result.ok else None
-    return Ended(rest, iterations + again.iterations, factorisations + 1, found.iterations, False, again.result), near
+    ended = Ended(again.rest if again.result.ok else None, again.iterations, 1, found.iterations, False, again.result)
+    return _sum(spent, ended)
 
 
 def _state(rest: Resting | None) -> State | None:

@@ -63,7 +63,7 @@ class FingerSubject(AbstractSubject):
         self._fine: Assembled | None = None
         self._rough: Assembled | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
-        self._last: Strained | None = None
+        self._last: dict[bool, Strained] = {}
         self._solvers: dict[tuple[int, bytes], AbstractSolver] = {}
 
     def evaluate(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
@@ -119,7 +119,8 @@ class FingerSubject(AbstractSubject):
             return None
         if fine is None or not self._strained(self._amounts(phi)):
             return fine
-        more = self._beyond(raw, self._amounts(phi))
+        amounts = self._amounts(phi)
+        more = self._beyond(raw, amounts, finely=True) or self._beyond(raw, amounts)
         return None if more is None else fine + more[0]
 
     def refine(self, fine: Assembled, refinement: float) -> None:
@@ -234,18 +235,24 @@ class FingerSubject(AbstractSubject):
         value = np.concatenate([np.asarray(each) for each in prediction.readings])
         return value if bool(prediction.health.converged) and np.isfinite(value).all() else None
 
-    def _beyond(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> tuple[np.ndarray, Strained, Assembled] | None:
-        """What a law of the tissue adds to every row, found on the rough mesh; each search begins where the last one ended."""
-        rough = self._rough_model(amounts)
-        linear, law = self._elastic(rough, raw, amounts), self._effects(amounts).law(Linear())
+    def _beyond(
+        self, raw: Float[np.ndarray, " p"], amounts: Amounts, *, finely: bool = False
+    ) -> tuple[np.ndarray, Strained, Assembled] | None:
+        """What a law of the tissue adds to every row, found on the rough mesh or, `finely`, on that of the linear model; each search begins
+        where the last one ended.
+        """
+        on = self._model(amounts) if finely else self._rough_model(amounts)
+        linear, law = None if on is None else self._elastic(on, raw, amounts), self._effects(amounts).law(Linear())
+        if on is None or linear is None:
+            return None
         try:
-            found = strained_readings(rough.model, self._values(raw, amounts), law, start=self._last)
+            found = strained_readings(on.model, self._values(raw, amounts), law, start=self._last.get(finely))
         except ValueError:
             return None
-        if linear is None or not bool(found.prediction.health.converged):
+        if not bool(found.prediction.health.converged):
             return None
-        self._last = found
-        return np.concatenate([np.asarray(each) for each in found.prediction.readings]) - linear, found, rough
+        self._last[finely] = found
+        return np.concatenate([np.asarray(each) for each in found.prediction.readings]) - linear, found, on
 
     def _rough_model(self, amounts: Amounts) -> Assembled:
         if self._rough is None:
