@@ -18,8 +18,9 @@ from fingerjax.effects import catalogue, chosen
 from fingerjax.errors import InputError
 from fingerjax.forward import assemble, rigs
 from fingerjax.layers import SOFT_LAYERS
+from fingerjax.loop.diagnosis import diagnose
 from fingerjax.runners import diagnosing
-from fingerjax.runners.diagnosing import diagnose_study
+from fingerjax.runners.diagnosing import diagnose_study, subject_of
 from fingerjax.runners.subject import FingerSubject
 from fingerjax.study import Study
 
@@ -65,22 +66,20 @@ def laboratory(folder: Path, effect: str, size: float, *, trials: int = TRIALS, 
 
 
 def test_a_planted_offset_is_found_added_and_reported(tmp_path: Path) -> None:
-    study, parts = laboratory(tmp_path, "contact_offset", 0.08), {}
-    told: list[float] = []
+    subject, parts = subject_of(laboratory(tmp_path, "contact_offset", 0.08), TRIED), {}
 
     def kept(name: str, make):  # type: ignore[no-untyped-def]
         return parts.setdefault(name, make())
 
-    found = diagnose_study(study, effects=TRIED, sets=20, tell=lambda share, what: told.append(share), kept=kept)
+    found = diagnose(subject, sets=20, kept=kept)
     record = found.record()
     assert record["verdict"]["kind"] == "attributed" and record["set"] == ["contact_offset"], record["verdict"]
     assert record["after"]["phi"]["contact_offset.offset"]["value"] == pytest.approx(0.08, abs=0.02)
     assert record["after"]["error"]["fit"] < 0.5 * record["base"]["error"]["fit"]
     low, high = record["after"]["theta"]["epidermis.modulus"]["ci"]
     assert low < MODULI["epidermis"] < high
-    assert told == sorted(told) and told[0] >= 0.0 and told[-1] <= 1.0
     searches = len(parts)
-    again = diagnose_study(study, effects=TRIED, sets=20, kept=lambda name, make: parts[name])
+    again = diagnose(subject, sets=20, kept=lambda name, make: parts[name])
     assert len(parts) == searches and again.verdict.text == found.verdict.text
 
 
@@ -93,9 +92,12 @@ def test_an_effect_of_ones_own_is_ranked_refitted_and_reported(tmp_path: Path) -
     folder.mkdir()
     (folder / "glove.py").write_text(OWN)
     study = laboratory(tmp_path, "damp_glove", 0.02, own=folder)
-    record = diagnose_study(study, effects=("damp_glove", "camera_scale"), folder=folder, sets=20).record()
+    told: list[float] = []
+    asked = ("damp_glove", "camera_scale")
+    record = diagnose_study(study, effects=asked, folder=folder, sets=20, tell=lambda share, what: told.append(share)).record()
     assert _of(record, "damp_glove")["refit"]["phi"]["damp_glove.more"] == pytest.approx(0.02, abs=0.004)
     assert record["set"] == ["damp_glove"] and record["verdict"]["families"] == ["damp_glove"]
+    assert told == sorted(told) and told[0] >= 0.0 and told[-1] <= 1.0
 
 
 def test_without_repeats_nothing_is_named(tmp_path: Path) -> None:
