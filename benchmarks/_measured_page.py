@@ -28,8 +28,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure]) -> str:
-    """The page in Markdown. **Arguments:** `found`: study -> its notes, its diagnosis as a record, and its own tables."""
+def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure], absent: Sequence[str] = ()) -> str:
+    """The page in Markdown. `found`: study -> its notes, its diagnosis as a record, and its own tables; `absent`: studies not run."""
     here = machine()
     names = [name for name in ORDER if name in found] + [name for name in found if name not in ORDER]
     environment = Environment(
@@ -48,6 +48,7 @@ def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure]) -> s
         cpu=here["cpu"],
         memory=here["memory_GiB"],
         seconds={name: values[f"{name}: whole study"].value for name in names},
+        absent=absent,
         remarked=[name for name in names if (REMARKS / f"{name}.md.j2").is_file()],
     )
 

@@ -17,11 +17,13 @@ Part = Callable[[bool], Iterable[Figure]]
 Page = tuple[Path, Callable[[Sequence[Figure]], str]]
 
 
-def run_parts(parts: Mapping[str, Part], about: str | None, page: Page, arguments: Sequence[str] | None = None) -> None:
+def run_parts(
+    parts: Mapping[str, Part], about: str | None, page: Page, arguments: Sequence[str] | None = None, *, partial: bool = False
+) -> None:
     """Run a benchmark whose figures come in named parts, or some of them.
 
     `--part NAME`, as often as wanted, leaves the others as the `--json` file has them. The file is renewed after every part, so that one
-    that breaks off loses nothing but itself. `--write` writes the page when there are figures of every part.
+    that breaks off loses nothing but itself. `--write` writes the page when there are figures of every part, or, with `partial`, of any.
     """
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--quick", action="store_true", help="smaller meshes and fewer repeats")
@@ -41,9 +43,10 @@ def run_parts(parts: Mapping[str, Part], about: str | None, page: Page, argument
             write(options.json, [entry for each in parts if each in kept for entry in kept[each]])
     told = [read(entry) for each in parts if each in kept for entry in kept[each]]
     print(table(told))
-    if absent := [name for name in parts if name not in kept]:
-        print(f"no figures of {', '.join(absent)}" + ("; the page is not written" if options.write else ""))
-    elif options.write:
+    absent, complete = [name for name in parts if name not in kept], partial or len(kept) == len(parts)
+    if absent:
+        print(f"no figures of {', '.join(absent)}" + ("; the page is not written" if options.write and not complete else ""))
+    if options.write and complete:
         page[0].write_text(page[1](told), encoding="utf-8")
 
 

@@ -4,8 +4,8 @@
 with that folder beside the repository as `shared/data`.
 
 Every study in `fits/measured` is a part: it is diagnosed as `fingerjax diagnose` does it, and then asked what it is there for (`FURTHER`).
-What a part found is kept under `build/measured`, from where `--write` makes docs/measured.md. `--quick` takes coarser meshes, fewer
-readings and a few effects.
+What a part found is kept under `build/measured`, from where `--write` makes docs/measured.md; a study that has not been run is named there
+as absent. `--quick` takes coarser meshes, fewer readings and a few effects.
 """
 
 from __future__ import annotations
@@ -175,14 +175,15 @@ def keep(name: str, quick: bool, found: Mapping[str, Any]) -> None:
 
 
 def told(figures: Sequence[Figure]) -> str:
-    """The page, from the figures and from what every part kept."""
-    found = {name: json.loads(_file(name, False).read_text()) for name in studies()}
-    return page(found, figures)
+    """The page, from the figures and from what the parts kept that have any."""
+    there = {figure.figure.split(":")[0] for figure in figures}
+    found = {name: json.loads(_file(name, False).read_text()) for name in studies() if name in there}
+    return page(found, figures, absent=[name for name in studies() if name not in there])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
-    run_parts({name: partial(part, name) for name in studies()}, __doc__, (PAGE, told), arguments)
+    run_parts({name: partial(part, name) for name in studies()}, __doc__, (PAGE, told), arguments, partial=True)
 
 
 if __name__ == "__main__":

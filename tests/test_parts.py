@@ -25,12 +25,10 @@ def broken(quick: bool) -> Iterator[Figure]:
     raise RuntimeError("the solver gave up")
 
 
-def run(folder: Path, parts: dict, *arguments: str) -> tuple[list[str], str]:
+def run(folder: Path, parts: dict, *arguments: str, partial: bool = False) -> tuple[list[str], str]:
     """The parts kept in the file, in order, and the page."""
-    page = folder / "page.md"
-    run_parts(
-        parts, None, (page, lambda figures: " ".join(one.figure for one in figures)), ["--json", str(folder / "kept.json"), *arguments]
-    )
+    page, said = folder / "page.md", ["--json", str(folder / "kept.json"), *arguments]
+    run_parts(parts, None, (page, lambda figures: " ".join(one.figure for one in figures)), said, partial=partial)
     return [entry["part"] for entry in json.loads((folder / "kept.json").read_text())], page.read_text() if page.exists() else ""
 
 
@@ -45,6 +43,12 @@ def test_a_part_is_taken_up_again_and_the_page_waits_for_all(tmp_path: Path, cap
     assert run(tmp_path, parts, "--part", "second", "--write") == (["second"], "")
     assert "no figures of first; the page is not written" in capsys.readouterr().out
     assert run(tmp_path, parts, "--part", "first", "--write") == (["first", "second"], "time never seen")
+
+
+def test_a_partial_page_does_not_wait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parts = {"first": first, "second": second}
+    assert run(tmp_path, parts, "--part", "second", "--write", partial=True) == (["second"], "never seen")
+    assert "no figures of first\n" in capsys.readouterr().out
 
 
 def test_quick_figures_are_not_mixed_with_others(tmp_path: Path) -> None:
