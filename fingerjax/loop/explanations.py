@@ -125,8 +125,12 @@ class Inquiry:
 
     @property
     def enough(self) -> float:
-        """Sum of squares above which an explanation is far behind the leader, and one that does not promise to come below is given up."""
-        behind = max(BEHIND * self.needed, 0.5 * self.base.best.rss)
+        """Sum of squares above which an explanation is far behind the leader, and one that does not promise to come below is given up.
+
+        While none leaves nothing to be explained, all that get half of the way are followed, as partners of a second effect.
+        """
+        alone = any(one.in_set for one in self.found.values())
+        behind = BEHIND * self.needed if alone else max(BEHIND * self.needed, 0.5 * self.base.best.rss)
         return self.base.best.rss - self.leading + behind
 
     @property

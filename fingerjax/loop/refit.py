@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -187,7 +187,10 @@ def optimum(
     points = _Points(sample, columns)
     start = np.concatenate([raw, [(phi[one.key] - one.null) / one.scale for one in columns]])
     found = kept(name, lambda: {"x": _search(points, start, enough).tolist()})
-    return _ended(points, np.array(found["x"], dtype=float))
+    ended = _ended(points, np.array(found["x"], dtype=float))
+    if not ended.settled and ended.rss > enough:
+        return replace(ended, reason="was given up, since another effect explains far more")
+    return ended
 
 
 def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
