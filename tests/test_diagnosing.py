@@ -102,8 +102,8 @@ def test_an_effect_of_ones_own_is_ranked_refitted_and_reported(tmp_path: Path) -
 
 def test_without_repeats_nothing_is_named(tmp_path: Path) -> None:
     study = laboratory(tmp_path, "contact_offset", 0.08, trials=1)
-    verdict = diagnose_study(study, effects=TRIED).record()["verdict"]
-    assert verdict["kind"] in ("noise unknown", "noise_unknown") and verdict["families"] == []
+    verdict = diagnose_study(study, effects=("contact_offset", "camera_scale")).record()["verdict"]
+    assert verdict["kind"] == "noise unknown" and verdict["families"] == []
 
 
 def test_a_load_cells_gain_is_absorbed_by_the_moduli(tmp_path: Path) -> None:
@@ -114,6 +114,25 @@ def test_a_load_cells_gain_is_absorbed_by_the_moduli(tmp_path: Path) -> None:
     J, gain = subject.evaluate(raw, {}, ()).theta_jacobian, subject.columns(raw)["force_gain.gain"]
     left = gain - J @ np.linalg.lstsq(J, gain)[0]
     assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(gain)
+
+
+def test_what_a_law_adds_is_checked_on_the_mesh_that_is_fitted_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("strain_stiffening",), catalogue()))
+    subject.refine(subject.base, 0.5)
+    raw = np.array([one.raw() for one in subject.parameters])
+    law, answers = {"strain_stiffening.skin": 5.0, "strain_stiffening.deep": 0.0}, {True: 2.0, False: 1.0}
+
+    def added(raw, amounts, *, finely=False):  # type: ignore[no-untyped-def]
+        return None if finely not in answers else (np.full(len(subject.rows), answers[finely]), None, None)
+
+    monkeypatch.setattr(subject, "_beyond", added)
+    linear = subject.finer(raw, {})
+    assert linear is not None
+    np.testing.assert_allclose(subject.finer(raw, law), linear + 2.0)
+    del answers[True]  # no equilibrium was found there
+    np.testing.assert_allclose(subject.finer(raw, law), linear + 1.0)
+    del answers[False]
+    assert subject.finer(raw, law) is None
 
 
 def test_a_study_without_a_fit_has_no_residual(tmp_path: Path) -> None:

@@ -93,8 +93,12 @@ def test_a_second_term_of_the_same_effect_comes_before_another_effect() -> None:
 
 
 def test_two_effects_are_both_named_and_each_is_needed() -> None:
-    found = verdict(truth={"contact_offset.offset": 0.04, "spontaneous_rate.rate": 6.0})
+    searched: dict[str, dict] = {}
+    toy = Toy(truth={"contact_offset.offset": 0.04, "spontaneous_rate.rate": 6.0})
+    found = diagnose(toy, sets=0, kept=lambda name, make: searched.setdefault(name, make()))
     assert found.verdict.kind == "two effects"
+    both = [name for name in searched if "contact_offset.offset" in name and "spontaneous_rate.rate" in name and "mesh" not in name]
+    assert len({tuple(name.split(" again ")[0].split()) for name in both}) == 1  # not once more the other way round
     assert sorted(found.verdict.families) == ["contact_offset", "spontaneous_rate"]
     assert found.after.phi["spontaneous_rate.rate"].value == pytest.approx(6.0, rel=0.2)
 
