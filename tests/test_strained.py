@@ -93,7 +93,7 @@ def test_every_case_rests_where_newton_finds_it_to(everything: Assembled, strain
 @needs_direct
 @pytest.mark.slow
 def test_a_case_that_is_far_from_the_one_before_is_reached_in_steps(everything: Assembled, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Searches that fail where the indenter goes more than 0.3 mm beyond the skin at once, and no Newton's method that could stand in for them."""
+    """Searches that fail where the indenter goes more than 0.3 mm beyond the skin at once, and no Newton's method to stand in."""
     search, refused = strained_module._by_chords, []
 
     def near_sighted(tissue, place, chord, imposed, begin, chording):  # type: ignore[no-untyped-def]
