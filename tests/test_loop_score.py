@@ -169,3 +169,24 @@ def test_derivatives_of_the_toy_are_those_of_its_formula() -> None:
     step = 1e-4
     after = toy.evaluate(raw, {"contact_offset.offset": 0.02 + step}, ()).prediction
     assert (after - at.prediction) / step == pytest.approx(at.phi_jacobian[:, 0], rel=1e-2, abs=1e-2 * np.abs(at.phi_jacobian).max())
+
+
+class Edged(Straight):
+    """y = a + |b| x: slopes of either sign lead to the edge at b = 0, as where skin begins to touch."""
+
+    def evaluate(self, raw: np.ndarray, phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
+        a, b = raw
+        slope = self.rise if b >= 0 else -self.rise
+        jacobian = np.stack([np.ones(len(X)), slope * X], axis=1)
+        return Evaluation(a + abs(b) * self.rise * X, jacobian, np.zeros((len(X), 0)))
+
+    rise = 1.0
+
+
+@pytest.mark.parametrize(("wanted", "settled"), [(-0.01, True), (-0.4, False)])
+def test_an_edge_is_an_optimum_where_it_promises_little(wanted: float, settled: bool) -> None:
+    """Data that ask for a slope which the model can only come near to, b >= 0 in effect: by a part of a standard error, or by many."""
+    subject = Edged((), {})
+    subject.rows = dataclasses.replace(subject.rows, measured=1.0 + wanted * X)
+    found = optimum(Sample.of(subject, estimate(subject.rows), np.ones(len(X), dtype=bool)), (), np.array([1.0, 0.3]), NONE)
+    assert abs(found.raw[1]) < 1e-3 and found.settled is settled

@@ -29,6 +29,7 @@ LEVEL = 1e-6  # largest cosine between the residual and a free column at an opti
 NEAR, NEARER = 0.1, 0.05
 EVALUATIONS = 60  # of one search
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
+EDGE, ALONG, KEPT = 0.5, (1.0, 0.3, 0.1), 0.1  # standard errors that an edge may promise; shares of the step; and of the promise, kept
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
 AT_BOUND = 5e-3  # share of the plausible range from its end within which an effect is at its bound
 
@@ -200,10 +201,10 @@ def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
     if not points.at(start).usable:
         return start
     near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * points.near, enough)
-    if points.columns and not reached:
-        return near
-    if reached:
+    if reached or _at_an_edge(points, near):
         return _polished(points, near)
+    if points.columns:
+        return near
     found = least_squares(
         points.residual, near, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-9, xtol=1e-9, gtol=None,
         max_nfev=EVALUATIONS,
@@ -231,6 +232,27 @@ def _polished(points: _Points, x: np.ndarray) -> np.ndarray:
     return x
 
 
+def _at_an_edge(points: _Points, x: np.ndarray) -> bool:
+    """Whether a point with a slope is the least all the same: where skin begins to touch the slopes on either side lead to the same edge.
+
+    No part of a Gauss-Newton step then keeps what it promises, small as that is.
+    """
+    residual, jacobian = points.residual(x), points.jacobian(x)
+    lower, upper = points.box()
+    free = movable(Place(x, residual, jacobian), lower, upper, points.near)
+    projection = Projection.of(jacobian[:, free])
+    promised = float(np.sum((projection.basis.T @ residual) ** 2))
+    if promised > (EDGE * _typical(residual)) ** 2:
+        return False
+    step = np.zeros(len(x))
+    step[free] = -projection.inverse @ residual
+    for share in ALONG:
+        moved = points.residual(np.clip(x + share * step, lower, upper))
+        if not residual @ residual - moved @ moved <= KEPT * (2 - share) * share * promised:
+            return False
+    return True
+
+
 def _typical(residual: np.ndarray) -> float:
     return max(1.0, float(np.linalg.norm(residual)) / math.sqrt(len(residual)))
 
@@ -253,7 +275,7 @@ def _ended(points: _Points, x: np.ndarray) -> Optimum:
     free = movable(Place(x, residual, jacobian), *points.box(), points.near)
     gradient = _cosine(residual, jacobian[:, free])
     left = float(np.linalg.norm(Projection.of(jacobian[:, free]).basis.T @ residual))
-    settled = gradient < LEVEL or left < points.near * _typical(residual)
+    settled = gradient < LEVEL or left < points.near * _typical(residual) or _at_an_edge(points, x)
     reason = "" if settled else f"the search stopped {left:.2g} standard errors from the optimum"
     return Optimum(
         points.sample, points.columns, raw, phi, at, -residual[:size], jacobian[:size], free, gradient, settled, reason
