@@ -3,9 +3,9 @@
 As in the paper the inner layers are the section's own profile, scaled about the centre of the bone, which lies
 towards the nail (Dandekar, Raju & Srinivasan 2003, section 3). Thickness is stated at the centre of the pad. A
 layer scaled within its sections only would shrink to nothing towards the tip, so each is shortened along z too,
-by its own thickness: beyond where the tip begins to round off,
+by its own thickness: where the tip rounds off, beyond z_c, the preset's rounding is exchanged for one that ends sooner,
 
-    r_k(z, theta) = s_k r_0(g_k(z), theta),   g_k: [z_c, L - d_k] -> [z_c, L],
+    r_k(z, theta) = s_k r_0(z, theta) q(z, L - d_k) / q(z, L),   q(z, end) = (1 - ((z - z_c) / (end - z_c))^p)^(1/2),
 
 d_k being the depth of the layer at the centre of the pad. `even` skin has the same thickness all round instead.
 What is not stated is taken from a preset, scaled to the width, height and length that were measured.
@@ -57,7 +57,7 @@ class LayerPlan:
     bone_sections: Path | None = None
 
     def dimensions(self, width: float, height: float, length: float) -> Dimensions:
-        """The preset's build at these sizes, with what is stated put in."""
+        """The preset's build at these greatest sizes, with what is stated put in."""
         stated = {
             "epidermis": self.epidermis,
             "dermis": self.dermis,
@@ -68,7 +68,8 @@ class LayerPlan:
             "bone_end": self.bone_end,
             "bone_rise": self.rise,
         }
-        scaled = PRESETS[self.like].scaled(self.like, width, height, length)
+        like = PRESETS[self.like]
+        scaled = like.scaled(self.like, width / like.bulge, height, length)
         return Dimensions(**{**vars(scaled), **{name: value for name, value in stated.items() if value is not None}})
 
 
@@ -107,7 +108,7 @@ def layered(outline: Outline, plan: LayerPlan, nail: Patch | None = None, name: 
     radii = np.zeros((len(z), len(skin.theta), len(LAYERS)))
     radii[:, :, 0] = skin.radius(z)
     for layer in range(1, BONE):
-        radii[:, :, layer] = _inner(skin, z, layer, d, pad, ends[layer], cap, plan.varies)
+        radii[:, :, layer] = _inner(skin, z, layer, d, pad, ends[layer], plan.varies)
     _check_crossing(radii, z, skin.theta, d)
     bone, clamped = _bone(skin, z, d, plan, radii)
     radii[:, :, BONE] = bone
@@ -157,13 +158,11 @@ def _before(end: float, cap: float) -> np.ndarray:
     return cap + (end - cap) * (1.0 - np.linspace(1.0, 0.0, 25) ** 2)
 
 
-def _inner(
-    skin: _Skin, z: np.ndarray, layer: int, d: Dimensions, pad: float, end: float, cap: float, varies: str
-) -> np.ndarray:
+def _inner(skin: _Skin, z: np.ndarray, layer: int, d: Dimensions, pad: float, end: float, varies: str) -> np.ndarray:
     """Outer radius `(s, m)` of one inner soft layer."""
-    length = skin.outline.length
-    stretched = np.where(z <= cap, z, cap + (z - cap) * (length - cap) / (end - cap))
-    outer = np.where((z < end)[:, None], skin.radius(stretched), 0.0)
+    there = z < end
+    sooner = rounding(d, z, end) / np.where(there, rounding(d, z, skin.outline.length), 1.0)
+    outer = np.where(there, sooner, 0.0)[:, None] * skin.radius(z)
     depth = (0.0, d.epidermis, d.epidermis + d.dermis)
     if layer == BONE - 1:
         return d.fibrous * outer

@@ -59,6 +59,13 @@ class Dimensions:
     nail: tuple[float, float] = (0.42, 0.88)  # share of the length
     nail_angles: tuple[float, float] = (50.0, 130.0)  # deg
 
+    @property
+    def bulge(self) -> float:
+        """Greatest width of a section over its width at half its height: the maximum of (1 - e v) (1 - v^2)^(1/2), e the fullness."""
+        e = self.fullness
+        v = (1.0 - math.sqrt(1.0 + 8.0 * e**2)) / (4.0 * e)
+        return (1.0 - e * v) * math.sqrt(1.0 - v**2)
+
     def scaled(self, name: str, width: float, height: float, length: float) -> Dimensions:
         """Another finger of the same build: widths by width, thicknesses by height, lengths by length."""
         across, up, along = width / self.width, height / self.height, length / self.length
