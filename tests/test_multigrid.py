@@ -101,9 +101,9 @@ def test_one_hierarchy_serves_the_box_of_moduli(thin: tuple[Body, Hierarchy], mo
     assert solution.converged.all() and int(solution.iterations[0]) <= 60
 
 
-def test_needles_cost_no_more_iterations_where_there_are_more_of_them() -> None:
-    """Columns six and eleven times as long as wide, as layers meet them around a bone: their midsides move in bundles."""
-    assert needles(16) <= needles(8) + 5 <= 45
+def test_midsides_of_needles_move_in_bundles() -> None:
+    """On one layer of columns eight times as long as wide; without bundles it takes 74 iterations."""
+    assert needles(12) <= 60
 
 
 def needles(across: int) -> int:

@@ -29,9 +29,7 @@ from .operator import Lame, apply
 from .sliced import Parts, Sliced, pairs_of, sliced
 
 EQUAL = (12.0, 0.5)  # Lame parameters at which the transfers are made, the same in every layer: a Poisson's ratio of 0.48
-
-
-FINE: Reach = (3, 15.0)  # products with the quadratic tetrahedra are what a cycle costs
+FINE: Reach = (3, 15.0)  # of smoothing; products with the quadratic tetrahedra are what a cycle costs
 CORNERS: Reach = (8, 60.0)
 BUNDLED = 0.2  # coupling from which on midsides belong to one bundle
 
@@ -88,7 +86,7 @@ class Hierarchy(eqx.Module):
 def hierarchy(body: Body, *, coarsest: int = 900) -> Hierarchy:
     """Build the transfers of a body on the host, once for a mesh.
 
-    `coarsest` bounds the unknowns of the last level, which is factorised densely at every change of the moduli.
+    `coarsest` bounds the aggregates of the last level, six unknowns each, which is factorised densely at every change of the moduli.
     """
     tets, layer, free = np.asarray(body.tets), np.asarray(body.layer), np.asarray(body.free) > 0
     used = np.unique(tets[:, :4])
