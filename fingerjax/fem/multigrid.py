@@ -31,6 +31,7 @@ from .sliced import Parts, Sliced, pairs_of, sliced
 EQUAL = (12.0, 0.5)  # Lame parameters at which the transfers are made, the same in every layer: a Poisson's ratio of 0.48
 FINE: Reach = (3, 15.0)  # of smoothing; products with the quadratic tetrahedra are what a cycle costs
 CORNERS: Reach = (8, 60.0)
+LINEAR: Reach = (4, 20.0)  # where corners are all there is
 BUNDLED = 0.2  # coupling from which on midsides belong to one bundle
 
 
@@ -74,7 +75,10 @@ class Aggregates(eqx.Module):
 
 
 class Hierarchy(eqx.Module):
-    """The frozen part of the preconditioner for one body; `midsides` and `groups` are absent for linear tetrahedra."""
+    """The frozen part of the preconditioner for one body; `midsides` and `groups` are absent for linear tetrahedra.
+
+    `corners` holds the bundles of midsides too, numbered after the corners.
+    """
 
     midsides: Midsides | None
     groups: Groups | None
@@ -288,7 +292,7 @@ def _corner_cycle(frozen: Hierarchy, lame: Lame, less: Callable[[Any], Any], pre
     def operate(v: Field) -> Field:
         return frozen.corners.multiply(rows, v)
 
-    smooth = smoother(frozen.corner_groups, operate, lame, precision, CORNERS)
+    smooth = smoother(frozen.corner_groups, operate, lame, precision, LINEAR if frozen.midsides is None else CORNERS)
 
     def cycle(load: Field) -> Field:
         u = smooth(operate, load, None)
