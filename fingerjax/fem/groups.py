@@ -13,14 +13,14 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
-from .affine import Affine
+from .affine import Affine, Terms
 from .operator import Lame
 
 STRONG = 0.3  # coupling |K_ij| / sqrt(|K_ii| |K_jj|) from which on two nodes belong together
 LARGEST = 8  # nodes of a group
 
 
-def strong_groups(coupling: sp.csr_matrix) -> np.ndarray:
+def strong_groups(coupling: sp.csr_matrix, strong: float = STRONG) -> np.ndarray:
     """(g, LARGEST) nodes of each group, filled up with n: strongest couplings first, until a group is full.
 
     `coupling` (n, n) holds norms of the stiffness's blocks between nodes; a node without any, as on a support, is in no group.
@@ -29,7 +29,7 @@ def strong_groups(coupling: sp.csr_matrix) -> np.ndarray:
     own = coupling.diagonal()
     scale = sp.diags(1.0 / np.sqrt(np.where(own > 0, own, 1.0)))
     pairs = sp.triu(scale @ coupling @ scale, 1).tocoo()
-    chosen = np.flatnonzero(pairs.data >= STRONG)
+    chosen = np.flatnonzero(pairs.data >= strong)
     label, members = np.arange(n), {i: [i] for i in np.flatnonzero(own > 0).tolist()}
     for k in chosen[np.argsort(-pairs.data[chosen], kind="stable")]:
         a, b = int(label[pairs.row[k]]), int(label[pairs.col[k]])
@@ -73,6 +73,12 @@ def within(members: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
     g, s = members.shape
     group[members.ravel()], place[members.ravel()] = np.repeat(np.arange(g), s), np.tile(np.arange(s), g)
     return group[:nodes], place[:nodes]
+
+
+def gathered(members: np.ndarray, group: np.ndarray, place: np.ndarray, terms: Terms) -> Groups:
+    """Groups (g, s) with the terms of their blocks; `group` and `place` (n,): of each node, as from `within`."""
+    slot = np.where(group >= 0, group * members.shape[1] + place, members.size)
+    return Groups(jnp.asarray(members, jnp.int32), jnp.asarray(slot, jnp.int32), terms.affine())
 
 
 def inverse_blocks(blocks: Float[Array, "g b b"]) -> Float[Array, "g b b"]:

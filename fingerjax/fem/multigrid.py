@@ -1,4 +1,4 @@
-"""One V-cycle of multigrid as the preconditioner: quadratic tetrahedra, then linear ones, then aggregates with rigid-body modes.
+"""One V-cycle of multigrid as the preconditioner: quadratic tetrahedra, then corners and bundles of midsides, then aggregates of corners.
 
 The transfers are made once for a mesh, at equal moduli, and kept; the levels below are formed anew from the moduli inside compiled code,
 since every level is affine in the Lame parameters (Galerkin throughout). A stale hierarchy would cost iterations, never accuracy, and is
@@ -7,7 +7,7 @@ not differentiated. The cycle runs in single precision: it has to be good, not e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -21,27 +21,38 @@ from jaxtyping import Array, Float, Int
 from .affine import Terms
 from .assembly import chunks, element_matrices
 from .body import Body
+from .chebyshev import Reach, smoother
 from .element import EDGES
-from .groups import Groups, strong_groups, within
+from .groups import Groups, gathered, strong_groups, within
 from .krylov import Field
 from .operator import Lame, apply
-from .sliced import Sliced, sliced
+from .sliced import Parts, Sliced, pairs_of, sliced
 
 EQUAL = (12.0, 0.5)  # Lame parameters at which the transfers are made, the same in every layer: a Poisson's ratio of 0.48
+FINE: Reach = (3, 15.0)  # of smoothing; products with the quadratic tetrahedra are what a cycle costs
+CORNERS: Reach = (8, 60.0)
+LINEAR: Reach = (4, 20.0)  # where corners are all there is
+BUNDLED = 0.2  # coupling from which on midsides belong to one bundle
 
 
 class Midsides(eqx.Module):
-    """From the corners of quadratic tetrahedra to all their nodes: a midside moves by the mean of its two corners."""
+    """From corners and bundles of midsides to all nodes: a midside moves by the mean of its two corners, and by its bundle beside that.
 
-    parents: Int[Array, "nodes 2"]
-    corners: int = eqx.field(static=True)
+    Where elements are needles, their long edges' midsides hold fast to one another: how these move against their corners, evenly over
+    many needles, is seen neither by the corners nor by a smoother that reaches a few nodes. Bundles are what sees it.
 
-    def prolong(self, coarse: Float[Array, "corners 3"]) -> Field:
-        return jnp.asarray(0.5, coarse.dtype) * coarse[self.parents].sum(axis=1)
+    `parents` (n, 3): two corners and a bundle, numbered after the corners; `share` (n, 3): what they count for, zero where none is.
+    """
 
-    def restrict(self, fine: Field) -> Float[Array, "corners 3"]:
-        half = jnp.asarray(0.5, fine.dtype) * fine
-        return jnp.zeros((self.corners, 3), fine.dtype).at[self.parents].add(half[:, None])
+    parents: Int[Array, "nodes 3"]
+    share: Float[Array, "nodes 3"]
+    count: int = eqx.field(static=True)
+
+    def prolong(self, coarse: Float[Array, "count 3"]) -> Field:
+        return jnp.sum(self.share[:, :, None] * coarse[self.parents], axis=1)
+
+    def restrict(self, fine: Field) -> Float[Array, "count 3"]:
+        return jnp.zeros((self.count, 3), fine.dtype).at[self.parents].add(self.share[:, :, None] * fine[:, None])
 
 
 class Aggregates(eqx.Module):
@@ -64,7 +75,10 @@ class Aggregates(eqx.Module):
 
 
 class Hierarchy(eqx.Module):
-    """The frozen part of the preconditioner for one body; `midsides` and `groups` are absent for linear tetrahedra."""
+    """The frozen part of the preconditioner for one body; `midsides` and `groups` are absent for linear tetrahedra.
+
+    `corners` holds the bundles of midsides too, numbered after the corners.
+    """
 
     midsides: Midsides | None
     groups: Groups | None
@@ -76,126 +90,124 @@ class Hierarchy(eqx.Module):
 def hierarchy(body: Body, *, coarsest: int = 900) -> Hierarchy:
     """Build the transfers of a body on the host, once for a mesh.
 
-    `coarsest` bounds the unknowns of the last level, which is factorised densely at every change of the moduli.
+    `coarsest` bounds the aggregates of the last level, six unknowns each, which is factorised densely at every change of the moduli.
     """
-    used, parents, tets = _corners(body)
-    corner_tets = np.searchsorted(used, tets[:, :4])
-    free = np.asarray(body.free)[used] > 0
-    matrices = [_corner_terms(body, part) for part in chunks(body)]
-    corners, groups = _sparse_level(corner_tets, np.asarray(body.layer), free, matrices)
-    aggregates = _aggregates(np.asarray(body.nodes)[used], free, corners, _layers(body), coarsest)
-    if body.order == 1:
-        return Hierarchy(None, None, corners, groups, aggregates)
-    midsides = Midsides(jnp.asarray(parents, jnp.int32), len(used))
-    return Hierarchy(midsides, _fine_groups(body), corners, groups, aggregates)
-
-
-def _layers(body: Body) -> int:
-    return int(np.asarray(body.layer).max()) + 1
-
-
-def _corners(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes that are corners, the two corners (as numbered among those) behind each node, and the elements."""
-    tets = np.asarray(body.tets)
+    tets, layer, free = np.asarray(body.tets), np.asarray(body.layer), np.asarray(body.free) > 0
     used = np.unique(tets[:, :4])
-    number = np.full(len(body.free), -1)
+    number = np.full(len(free), -1)
     number[used] = np.arange(len(used))
-    parents = np.stack([number, number], axis=1)
+    midsides = groups = None
+    below, moving = number[tets[:, :4]], free[used]
     if body.order == 2:
-        parents[tets[:, 4:].ravel()] = number[tets[:, :4]][:, EDGES].reshape(-1, 2)
-    return used, parents, tets
+        coupling = _coupling(body)
+        groups = _fine_groups(body, strong_groups(coupling))
+        bundle = _bundles(coupling, (number < 0) & np.asarray(body.moves > 0).all(axis=1))
+        midsides = _midsides(tets, number, bundle)
+        below = np.concatenate([below, np.where(bundle >= 0, len(used) + bundle, -1)[tets[:, 4:]]], axis=1)
+        moving = np.concatenate([moving, np.full(midsides.count - len(used), True)])
+    seen = below >= 0
+    matrices = ((part, _seen_from_below(body, part, seen[part, 4:])) for part in chunks(body))
+    corners = sliced(np.where(seen, below, below[:, :1]), layer, moving, matrices)
+    modes = np.zeros((3 * len(moving), 6))
+    modes[: 3 * len(used)] = rigid_body_modes(np.asarray(body.nodes)[used])
+    layers = int(layer.max()) + 1
+    aggregates = _aggregates(modes, moving, corners, layers, coarsest)
+    return Hierarchy(midsides, groups, corners, _sparse_groups(corners, layers), aggregates)
 
 
-def _corner_terms(body: Body, part: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Element matrices (e, 4, 3, 4, 3) seen from the corners: a midside moves by the mean of its two corners, unless it is held."""
+def _midsides(tets: np.ndarray, number: np.ndarray, bundle: np.ndarray) -> Midsides:
+    """From the numbers of corners and of bundles (n,), -1 where a node is none or in none."""
+    parents, corners = np.stack([number, number], axis=1), int(number.max()) + 1
+    parents[tets[:, 4:].ravel()] = number[tets[:, :4]][:, EDGES].reshape(-1, 2)
+    share = np.stack([np.full(len(number), 0.5), np.full(len(number), 0.5), bundle >= 0], axis=1)
+    parents = np.column_stack([parents, np.where(bundle >= 0, corners + bundle, 0)])
+    return Midsides(jnp.asarray(parents, jnp.int32), jnp.asarray(share), corners + int(bundle.max(initial=-1)) + 1)
+
+
+def _bundles(coupling: sp.csr_matrix, midside: np.ndarray) -> np.ndarray:
+    """(n,) the bundle of each midside that is strongly coupled to others, -1 elsewhere."""
+    among = sp.diags(midside.astype(float))
+    members = strong_groups(sp.csr_matrix(among @ coupling @ among), BUNDLED)
+    return within(members[(members < len(midside)).sum(axis=1) > 1], len(midside))[0]
+
+
+def _seen_from_below(body: Body, part: slice, bundled: np.ndarray) -> Parts:
+    """Element matrices (e, a, 3, a, 3) between corners, and the bundles that midsides are in: `bundled` (e, 6)."""
     size = body.tets.shape[1]
-    share = np.eye(4)
-    if body.order == 2:
-        share = np.concatenate([share, 0.5 * (share[EDGES[:, 0]] + share[EDGES[:, 1]])])
-    moves = np.asarray(body.moves)[np.asarray(body.tets)[part]]
-    held = (each * moves[:, :, :, None, None] * moves[:, None, None, :, :] for each in _shaped(element_matrices(body, part), size))
-    first, second = (np.einsum("ac,eaibj,bd->ecidj", share, each, share, optimize=True) for each in held)
-    return (first, second) if body.sliding is None else (_apart(first, moves[:, :4]), _apart(second, moves[:, :4]))
+    share = np.eye(size)
+    share[np.arange(4, size)[:, None], EDGES[: size - 4]] = 0.5
+    moves = np.broadcast_to(np.asarray(body.moves)[np.asarray(body.tets)[part]], (len(bundled), size, 3))
+    seen = np.concatenate([moves[:, :4], np.broadcast_to(bundled[:, :, None], (*bundled.shape, 3))], axis=1)
+    first, second = _shaped(element_matrices(body, part), size)
+    sliding = body.sliding is not None
+    return _shared(first, share, moves, seen, sliding), _shared(second, share, moves, seen, sliding)
 
 
-def _apart(each: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Element matrices (e, 4, 3, 4, 3) in which the ways that a corner cannot move (e, 4, 3) touch nothing but themselves."""
-    own = np.einsum("ecici->eci", each) * (1 - moves)
-    apart = each * moves[:, :, :, None, None] * moves[:, None, None, :, :]
-    np.einsum("ecici->eci", apart)[...] += own
-    return apart
+def _shared(each: np.ndarray, share: np.ndarray, moves: np.ndarray, seen: np.ndarray, sliding: bool) -> np.ndarray:
+    """(e, c, 3, c, 3) of an element's matrices (e, a, 3, a, 3); the ways that a sliding corner cannot move touch only themselves."""
+    held = each * moves[:, :, :, None, None] * moves[:, None, None, :, :]
+    whole = np.einsum("ac,eaibj,bd->ecidj", share, held, share, optimize=True)
+    shared = whole * seen[:, :, :, None, None] * seen[:, None, None, :, :]
+    if sliding:
+        own = np.einsum("ecici->eci", whole)[:, :4] * (1 - moves[:, :4])
+        np.einsum("ecici->eci", shared)[:, :4] += own
+    return shared
 
 
-def _pairs(tets: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of nodes that share an element, as row * nodes + column, sorted; and which pair each element's are, (e, a, a)."""
-    flat = (tets[:, :, None].astype(np.int64) * nodes + tets[:, None, :]).ravel()
-    pairs, which = np.unique(flat, return_inverse=True)
-    return pairs, which.reshape(len(tets), tets.shape[1], tets.shape[1])
+def _equal(parts: Parts) -> np.ndarray:
+    return EQUAL[0] * parts[0] + EQUAL[1] * parts[1]
 
 
-def _coupling(pairs: np.ndarray, blocks: np.ndarray, free: np.ndarray) -> sp.csr_matrix:
-    """Norms (n, n) of the blocks (pairs, 3, 3) between free nodes."""
-    row, column = np.divmod(pairs, len(free))
-    size = np.linalg.norm(blocks, axis=(1, 2)) * free[row] * free[column]
-    matrix = sp.csr_matrix((size, (row, column)), shape=(len(free),) * 2)
+def _coupling(body: Body) -> sp.csr_matrix:
+    """Norms (n, n) of the stiffness's blocks between free nodes, at equal moduli."""
+    tets, free, n = np.asarray(body.tets), np.asarray(body.free) > 0, len(body.free)
+    a = tets.shape[1]
+    pairs, which = pairs_of(tets, n)
+    blocks = np.zeros((len(pairs), 9))
+    for part in chunks(body):
+        values = np.moveaxis(_equal(element_matrices(body, part)).reshape(-1, a, 3, a, 3), 3, 2).reshape(-1, 9)
+        blocks += np.stack([np.bincount(which[part].ravel(), each, len(pairs)) for each in values.T], axis=1)
+    row, column = np.divmod(pairs, n)
+    matrix = sp.csr_matrix((np.linalg.norm(blocks, axis=1) * free[row] * free[column], (row, column)), shape=(n, n))
     matrix.eliminate_zeros()
     return matrix
 
 
-def _added(which: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3, 3) sums of element blocks (e, a, 3, b, 3)."""
-    blocks = np.moveaxis(values, 3, 2).reshape(-1, 9)
-    return np.stack([np.bincount(which.ravel(), part, count) for part in blocks.T], axis=1).reshape(-1, 3, 3)
-
-
-def _equal(parts: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    return EQUAL[0] * parts[0] + EQUAL[1] * parts[1]
-
-
-def _sparse_level(
-    tets: np.ndarray, layer: np.ndarray, free: np.ndarray, matrices: list[tuple[np.ndarray, np.ndarray]]
-) -> tuple[Sliced, Groups]:
-    first, second = (np.concatenate(part) for part in zip(*matrices, strict=True))
-    pairs, which = _pairs(tets, len(free))
-    members = strong_groups(_coupling(pairs, _added(which, _equal((first, second)), len(pairs)), free))
-    level = sliced(pairs, which, layer, free, (first, second))
-    return level, _groups(members, tets, layer, free, [(slice(None), (first, second))])
-
-
-def _groups(
-    members: np.ndarray,
-    tets: np.ndarray,
-    layer: np.ndarray,
-    free: np.ndarray,
-    matrices: Iterable[tuple[slice, tuple[np.ndarray, np.ndarray]]],
-) -> Groups:
-    """The groups with their blocks, from element matrices of parts of the elements."""
-    group, place = within(members, len(free))
+def _fine_groups(body: Body, members: np.ndarray) -> Groups:
+    """The groups with their blocks, from element matrices."""
+    tets, layer = np.asarray(body.tets), np.asarray(body.layer)
+    group, place = within(members, len(body.free))
     g, s = members.shape
     terms = Terms(g * 9 * s * s)
-    for part, parts in matrices:
+    for part in chunks(body):
         here, there, block = place[tets[part]][:, :, None], place[tets[part]][:, None, :], group[tets[part]]
         together = (block[:, :, None] == block[:, None, :]) & (block[:, :, None] >= 0)
         corner = np.where(together, (block[:, :, None] * 3 * s + 3 * here) * 3 * s + 3 * there, -1)
-        terms.add_rows(corner, np.full(corner.shape, 3 * s), layer[part], parts)
-    slot = np.where(group >= 0, group * s + place, g * s)
-    return Groups(jnp.asarray(members, jnp.int32), jnp.asarray(slot, jnp.int32), terms.affine())
+        terms.add_rows(corner, np.full(corner.shape, 3 * s), layer[part], _shaped(element_matrices(body, part), tets.shape[1]))
+    return gathered(members, group, place, terms)
 
 
-def _fine_groups(body: Body) -> Groups:
-    tets, free, n = np.asarray(body.tets), np.asarray(body.free) > 0, len(body.free)
-    a = tets.shape[1]
-    pairs, which = _pairs(tets, n)
-    blocks = np.zeros((len(pairs), 3, 3))
-    for part in chunks(body):
-        equal = _equal(element_matrices(body, part)).reshape(-1, a, 3, a, 3)
-        blocks += _added(which[part], equal, len(pairs))
-    members = strong_groups(_coupling(pairs, blocks, free))
-    shaped = ((part, _shaped(element_matrices(body, part), a)) for part in chunks(body))
-    return _groups(members, tets, np.asarray(body.layer), free, shaped)
+def _sparse_groups(stiffness: Sliced, layers: int) -> Groups:
+    """Strong groups of a sparse stiffness, with their blocks."""
+    K = stiffness.matrix(_everywhere(layers)).tobsr((3, 3))
+    coupling = sp.csr_matrix((np.linalg.norm(K.data, axis=(1, 2)), K.indices, K.indptr), shape=(len(stiffness.place),) * 2)
+    members = strong_groups(coupling)
+    group, place = within(members, len(stiffness.place))
+    g, s = members.shape
+    entries, terms = stiffness.entries, Terms(g * 9 * s * s)
+    (row, i), (column, j) = (np.divmod(each[np.asarray(entries.place)], 3) for each in stiffness.unknowns())
+    together = (group[row] == group[column]) & (group[row] >= 0)
+    at = np.where(together, (group[row] * 3 * s + 3 * place[row] + i) * 3 * s + 3 * place[column] + j, -1)
+    terms.add(at, *(np.asarray(each) for each in (entries.layer, entries.volumetric, entries.shear)))
+    return gathered(members, group, place, terms)
 
 
-def _shaped(parts: tuple[np.ndarray, np.ndarray], a: int) -> tuple[np.ndarray, np.ndarray]:
+def _everywhere(layers: int) -> np.ndarray:
+    """Equal Lame parameters (2, layers)."""
+    return np.broadcast_to(np.array(EQUAL)[:, None], (2, layers))
+
+
+def _shaped(parts: Parts, a: int) -> Parts:
     return parts[0].reshape(-1, a, 3, a, 3), parts[1].reshape(-1, a, 3, a, 3)
 
 
@@ -210,14 +222,14 @@ def rigid_body_modes(nodes: np.ndarray) -> np.ndarray:
     return modes.reshape(-1, 6)
 
 
-def _aggregates(nodes: np.ndarray, free: np.ndarray, corners: Sliced, layers: int, coarsest: int) -> Aggregates:
+def _aggregates(modes: np.ndarray, free: np.ndarray, corners: Sliced, layers: int, coarsest: int) -> Aggregates:
+    """Aggregates of the free ones of n nodes, from the motions `modes` (3n, 6) that cost no energy; bundles have no part in these."""
     unknown = np.flatnonzero(np.repeat(free, 3))
 
     def matrix(lame: np.ndarray) -> sp.csr_matrix:
         return corners.matrix(lame)[unknown][:, unknown]
 
-    K = matrix(np.broadcast_to(np.array(EQUAL)[:, None], (2, layers))).tobsr(blocksize=(3, 3))
-    P = _prolongator(K, rigid_body_modes(nodes)[unknown], coarsest)
+    P = _prolongator(matrix(_everywhere(layers)).tobsr(blocksize=(3, 3)), modes[unknown], coarsest)
     parts = np.zeros((2, layers, P.shape[1], P.shape[1]))
     for kind, layer in np.ndindex(2, layers):
         unit = np.zeros((2, layers))
@@ -239,7 +251,7 @@ def _prolongator(K: sp.bsr_matrix, modes: np.ndarray, coarsest: int) -> sp.csr_m
     for level in levels[:-1]:
         P = sp.csr_matrix(P @ sp.csr_matrix(level.P))
     P.eliminate_zeros()
-    return P
+    return P[:, np.flatnonzero(np.diff(P.tocsc().indptr))]  # aggregates of bundles alone have no motions
 
 
 def _padded(matrix: sp.csr_matrix) -> tuple[Array, Array]:
@@ -248,53 +260,6 @@ def _padded(matrix: sp.csr_matrix) -> tuple[Array, Array]:
     inside = slot < count[:, None]
     at = np.minimum(matrix.indptr[:-1, None] + slot, len(matrix.data) - 1)
     return jnp.asarray(np.where(inside, matrix.data[at], 0.0)), jnp.asarray(np.where(inside, matrix.indices[at], 0), jnp.int32)
-
-
-class Smoother(eqx.Module):
-    """Chebyshev polynomial of the stiffness preconditioned by its strong groups (Adams, Brezina, Hu & Tuminaro, 2003).
-
-    It acts on eigenvalues from the largest down to the largest over `width`, and costs `degree` products with the stiffness.
-    """
-
-    groups: Groups
-    inverse: Float[Array, "g b b"]
-    largest: Float[Array, ""]
-    degree: int = eqx.field(static=True, default=4)
-    width: float = eqx.field(static=True, default=20.0)
-
-    def __call__(self, operate: Callable[[Field], Field], load: Field, start: Field | None) -> Field:
-        """Approximate `K^-1 load` from `start` (zero where None); the same polynomial before and after keeps the cycle symmetric."""
-        upper, lower = 1.1 * self.largest, self.largest / self.width
-        theta, delta = (upper + lower) / 2, (upper - lower) / 2
-        u = jnp.zeros_like(load) if start is None else start
-        r = load if start is None else load - operate(start)
-
-        def advance(_: Int[Array, ""] | int, state: tuple) -> tuple:
-            u, r, d, rho = state
-            u, r = u + d, r - operate(d)
-            following = 1 / (2 * theta / delta - rho)
-            return u, r, following * rho * d + (2 * following / delta) * self._scale(r), following
-
-        u, _, d, _ = jax.lax.fori_loop(0, self.degree - 1, advance, (u, r, self._scale(r) / theta, delta / theta))
-        return u + d
-
-    def _scale(self, r: Field) -> Field:
-        return self.groups.apply(self.inverse, r)
-
-
-def smoother(groups: Groups, operate: Callable[[Field], Field], lame: Lame, precision: type) -> Smoother:
-    """Inverse groups, and the largest eigenvalue of the preconditioned stiffness by a dozen power steps."""
-    inverse = groups.inverse(lame).astype(precision)
-
-    def step(v: Field, _: None) -> tuple[Field, Float[Array, ""]]:
-        w = groups.apply(inverse, operate(v))
-        size = jnp.linalg.norm(w)
-        return w / size, size
-
-    start = jax.random.normal(jax.random.key(0), (groups.slot.shape[0], 3), precision)
-    start = jnp.where((groups.slot < groups.members.size)[:, None], start, jnp.zeros((), precision))
-    _, sizes = jax.lax.scan(step, start / jnp.linalg.norm(start), None, length=12)
-    return Smoother(groups, inverse, sizes[-1])
 
 
 def preconditioner(body: Body, frozen: Hierarchy, lame: Lame, precision: type = jnp.float32) -> Callable[[Field], Field]:
@@ -306,7 +271,7 @@ def preconditioner(body: Body, frozen: Hierarchy, lame: Lame, precision: type = 
 
     cycle = _corner_cycle(frozen, lame, less, precision)
     if frozen.midsides is not None and frozen.groups is not None:
-        cycle = _cycle(less(body), frozen.midsides, frozen.groups, less(lame), lame, cycle, precision)
+        cycle = _cycle(less(body), less(frozen.midsides), frozen.groups, less(lame), lame, cycle, precision)
 
     def scaled(load: Field) -> Field:
         size = jnp.linalg.norm(load)
@@ -327,7 +292,7 @@ def _corner_cycle(frozen: Hierarchy, lame: Lame, less: Callable[[Any], Any], pre
     def operate(v: Field) -> Field:
         return frozen.corners.multiply(rows, v)
 
-    smooth = smoother(frozen.corner_groups, operate, lame, precision)
+    smooth = smoother(frozen.corner_groups, operate, lame, precision, LINEAR if frozen.midsides is None else CORNERS)
 
     def cycle(load: Field) -> Field:
         u = smooth(operate, load, None)
@@ -343,7 +308,7 @@ def _cycle(
     def operate(v: Field) -> Field:
         return apply(body, lame, v)
 
-    smooth = smoother(groups, operate, exact, precision)
+    smooth = smoother(groups, operate, exact, precision, FINE)
 
     def cycle(load: Field) -> Field:
         u = smooth(operate, load, None)

@@ -6,6 +6,7 @@ The faster form for linear tetrahedra, of which some twenty meet in a node; for 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from .operator import Lame
 
 SHARES = (0.0, 0.4, 0.7, 0.88, 0.96, 1.0)  # of the nodes, by number of neighbours: where slices begin and end
 Rows = tuple[Float[Array, "_ 3 _"], ...]
+Parts = tuple[np.ndarray, np.ndarray]  # per unit of each Lame parameter
 
 
 class Sliced(eqx.Module):
@@ -42,32 +44,41 @@ class Sliced(eqx.Module):
         slices = zip(rows, self.neighbours, strict=True)
         return jnp.concatenate([jnp.einsum("nik,nk->ni", part, u[each].reshape(len(each), -1)) for part, each in slices])[self.place]
 
+    def unknowns(self) -> tuple[np.ndarray, np.ndarray]:
+        """The row and the column, numbered 3 node + direction, of each entry."""
+        node, begin = np.argsort(np.asarray(self.place)), 0
+        rows, columns = [], []
+        for each in map(np.asarray, self.neighbours):
+            shape = len(each), 3, 3 * each.shape[1]
+            row = 3 * node[begin : begin + len(each), None] + np.arange(3)
+            column = np.repeat(3 * each, 3, axis=1) + np.tile(np.arange(3), each.shape[1])
+            rows.append(np.broadcast_to(row[:, :, None], shape).ravel())
+            columns.append(np.broadcast_to(column[:, None], shape).ravel())
+            begin += len(each)
+        return np.concatenate(rows), np.concatenate(columns)
+
     def matrix(self, lame: Lame | np.ndarray) -> sp.csr_matrix:
         """The same on the host, (3n, 3n)."""
-        n = len(self.place)
-        node = np.argsort(np.asarray(self.place))
-        parts, begin = [], 0
-        for values, each in zip(self.rows(jnp.asarray(lame)), self.neighbours, strict=True):
-            column = np.repeat(3 * np.asarray(each), 3, axis=1) + np.tile(np.arange(3), each.shape[1])
-            row = 3 * node[begin : begin + len(each), None] + np.arange(3)
-            shape = np.asarray(values).shape
-            parts.append((np.asarray(values), np.broadcast_to(row[:, :, None], shape), np.broadcast_to(column[:, None], shape)))
-            begin += len(each)
-        data, rows, columns = (np.concatenate([part[k].ravel() for part in parts]) for k in range(3))
-        matrix = sp.csr_matrix((data, (rows, columns)), shape=(3 * n, 3 * n))
+        size = 3 * len(self.place)
+        matrix = sp.csr_matrix((np.asarray(self.entries(jnp.asarray(lame))), self.unknowns()), shape=(size, size))
         matrix.eliminate_zeros()  # among them what rows are filled up with
         return matrix
 
 
-def sliced(pairs: np.ndarray, which: np.ndarray, layer: np.ndarray, free: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> Sliced:
-    """Add up element matrices (e, a, 3, a, 3) between free nodes, per unit of each Lame parameter.
+def pairs_of(tets: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of nodes that share an element, as row * nodes + column, sorted; and which pair each element's are, (e, a, a)."""
+    flat = (tets[:, :, None].astype(np.int64) * nodes + tets[:, None, :]).ravel()
+    pairs, which = np.unique(flat, return_inverse=True)
+    return pairs, which.reshape(len(tets), tets.shape[1], tets.shape[1])
 
-    **Arguments:**
 
-    - `pairs`: neighbouring nodes as row * n + column, sorted; `which` (e, a, a): the pair of each of the elements' blocks.
-    - `layer` (e,): of each element; `free` (n,) bool.
+def sliced(tets: np.ndarray, layer: np.ndarray, free: np.ndarray, matrices: Iterable[tuple[slice, Parts]]) -> Sliced:
+    """Add up element matrices (e, a, 3, a, 3), per unit of each Lame parameter, between the free ones (n,) of the nodes of `tets` (e, a).
+
+    The matrices come for one part of the elements after another.
     """
     n = len(free)
+    pairs, which = pairs_of(tets, n)
     row, column = np.divmod(pairs, n)
     valence = np.bincount(row, minlength=n)
     slot = np.arange(len(pairs)) - np.repeat(np.cumsum(valence) - valence, valence)
@@ -81,6 +92,7 @@ def sliced(pairs: np.ndarray, which: np.ndarray, layer: np.ndarray, free: np.nda
     filled[row, slot] = column
     terms = Terms(int(begin[-1]))
     at = np.where(free[row] & free[column], begin[place[row]] + 3 * slot, -1)
-    terms.add_rows(at[which], 3 * width[place[row]][which], layer, parts)
+    for part, parts in matrices:
+        terms.add_rows(at[which[part]], 3 * width[place[row]][which[part]], layer[part], parts)
     neighbours = tuple(jnp.asarray(filled[nodes, : width[place[nodes[0]]]]) for nodes in slices)
     return Sliced(neighbours, jnp.asarray(place, jnp.int32), terms.affine())
