@@ -14,7 +14,7 @@ from fingerjax.fem.energy import density, internal_force, smallest_volume, total
 from fingerjax.fem.operator import internal_force as linear_force
 from fingerjax.fem.operator import strain_energy
 from fingerjax.fem.stiffness import element_tangents, tangent
-from fingerjax.fem.tissue import Exponential, FiniteStrain, Linear, relative_growth
+from fingerjax.fem.tissue import Exponential, FiniteStrain, Linear, log_remainder, relative_growth
 
 from .fem_tools import cube_body
 
@@ -84,6 +84,29 @@ def test_null_is_linear_to_the_last_bit_and_its_slope_is_finite(tissue):
     body, u = cube_body(1, layers=4), 0.1 * jax.random.normal(jax.random.key(2), (27, 3))
     energy = eqx.filter_jit(total_energy)
     assert energy(body, tissue, SKIN.lame(), u) == energy(body, Linear(), SKIN.lame(), u)
+
+
+@pytest.mark.parametrize("s", [0.02, 0.3, 1.0])
+def test_homotopy_is_the_answer_to_part_of_the_displacement(s):
+    H = gradient(0.2)
+    energy, stress, stiffness = law(FiniteStrain(s), H)
+    whole, pulled, stiff = law(FiniteStrain(), s * H)
+    assert energy == pytest.approx(float(whole) / s**2, rel=1e-9)
+    np.testing.assert_allclose(stress, pulled / s, atol=1e-11)
+    np.testing.assert_allclose(stiffness, stiff, atol=1e-11)
+
+
+@pytest.mark.parametrize("order", range(3))
+def test_the_logs_remainder_is_smooth_where_its_series_ends(order):
+    """-1/3 + x/4 - x^2/5 + ... to sixty terms, against both branches and their derivatives."""
+    function = log_remainder
+    for _ in range(order):
+        function = jax.grad(function)
+    function = jax.jit(function)
+    for x in (-0.4, -0.101, -0.099, 0.0, 1e-6, 0.099, 0.101, 0.4):
+        falling = [np.prod([n - k for k in range(order)]) for n in range(60)]
+        exact = sum((-1.0) ** (n + 1) / (n + 3) * falling[n] * x ** (n - order) for n in range(order, 60))
+        assert function(jnp.asarray(x)) == pytest.approx(exact, rel=1e-9)
 
 
 def test_slopes_at_null_match_differences():

@@ -42,7 +42,7 @@ class FiniteStrain(AbstractTissue):
 
         W_s(H) = W_neo(s H) / s^2,    W_neo(H) = mu/2 (tr C - 3 - 2 ln J) + lambda/4 (J^2 - 1 - 2 ln J)
 
-    with F = I + H, J = det F, C = F'F: the answer to displacements s times as large, read on a scale 1/s times as fine.
+    with F = I + H, J = det F, C = F'F: the stress under displacements s times as large, over s.
 
     At `homotopy` s = 0 this is `Linear` to the last bit, with a finite slope there; at s = 1 it is frame indifferent and polyconvex. At
     every s one measure of volume resists, so that nearly incompressible tissue is not held by two; a weighted sum of both energies would do

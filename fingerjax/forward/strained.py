@@ -38,7 +38,7 @@ from .rigs import Rig
 from .wiring import Values
 
 RENEWALS = 4  # tangents that are tried on one way
-HALVINGS = 3  # of the way from the equilibrium before, ere a case is left to Newton's method
+HALVINGS = 3  # of the way from the equilibrium before, until a case is left to Newton's method
 
 
 class Ended(NamedTuple):

@@ -29,7 +29,8 @@ LEVEL = 1e-6  # largest cosine between the residual and a free column at an opti
 NEAR, NEARER = 0.1, 0.05
 EVALUATIONS = 60  # of one search
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
-EDGE, ALONG, KEPT = 0.5, (1.0, 0.3, 0.1), 0.1  # standard errors that an edge may promise; shares of the step; and of the promise, kept
+EDGE = 0.5  # standard errors that may seem to be left to gain on an edge
+ALONG, BROKEN = (1.0, 0.3, 0.1), 0.1  # parts of a step of which none brings more than this share of what it promises
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
 AT_BOUND = 5e-3  # share of the plausible range from its end within which an effect is at its bound
 
@@ -248,7 +249,7 @@ def _at_an_edge(points: _Points, x: np.ndarray) -> bool:
     step[free] = -projection.inverse @ residual
     for share in ALONG:
         moved = points.residual(np.clip(x + share * step, lower, upper))
-        if not residual @ residual - moved @ moved <= KEPT * (2 - share) * share * promised:
+        if not residual @ residual - moved @ moved <= BROKEN * (2 - share) * share * promised:
             return False
     return True
 
