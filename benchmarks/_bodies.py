@@ -21,6 +21,7 @@ from fingerjax.mesh import Resolution, build_finger
 from fingerjax.mesh.topology import oriented, quadratic
 
 COARSE, FINE = Resolution(0.5, 1.5), Resolution(0.17, 1.0)  # the paper's 8,500 and 29,000 nodes
+LARGE = Resolution(0.41, 1.23)  # 105,000 nodes when cut into eight
 PUSHED = 0.3  # mm above the lowest point of the pad: nodes up to there are pushed
 EIGHTHS = [(0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3), (6, 8, 4, 5), (6, 8, 5, 9), (6, 8, 9, 7), (6, 8, 7, 4)]
 

@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +74,20 @@ def multigrid(given: dict[str, np.ndarray]) -> tuple[np.ndarray, int, list[float
 
 
 def pardiso(given: dict[str, np.ndarray]) -> tuple[np.ndarray, int, list[float]]:
+    """MKL's sparse Cholesky factorisation."""
+    from fingerjax.fem.pardiso import Pardiso
+
+    return _factorised(given, Pardiso)
+
+
+def frontal(given: dict[str, np.ndarray]) -> tuple[np.ndarray, int, list[float]]:
+    """Our own sparse Cholesky factorisation."""
+    from fingerjax.fem.frontal import Frontal
+
+    return _factorised(given, Frontal)
+
+
+def _factorised(given: dict[str, np.ndarray], how: Any) -> tuple[np.ndarray, int, list[float]]:
     """Analysis, factorisation and solve of the assembled stiffness; assembling is not counted."""
     import jax
 
@@ -80,14 +95,13 @@ def pardiso(given: dict[str, np.ndarray]) -> tuple[np.ndarray, int, list[float]]
 
     from fingerjax.fem.assembly import Assembled
     from fingerjax.fem.body import assemble_body
-    from fingerjax.fem.cholesky import Cholesky
 
     body = assemble_body(given["nodes"], given["tets"], given["layer"], given["held"])
     assembled = Assembled(body, upper=True)
     K, load = assembled.matrix(given["lame"]), given["load"].reshape(-1, 1)[assembled.free]
 
     def solve() -> tuple[np.ndarray, int]:
-        factor = Cholesky(K.indptr, K.indices)
+        factor = how(K.indptr, K.indices)
         factor.factor(K.data)
         u = np.zeros(given["load"].size)
         u[assembled.free] = factor.solve(load)[:, 0]
@@ -203,6 +217,7 @@ def _deck(given: dict[str, np.ndarray]) -> str:
 
 PROGRAMS: dict[str, Callable[[dict[str, np.ndarray]], tuple[np.ndarray, int, list[float]]]] = {
     "multigrid": multigrid,
+    "fingerjax, frontal": frontal,
     "pardiso": pardiso,
     "scikit-fem": scikit_fem,
     "torch-fem cg+amg": torch_fem,

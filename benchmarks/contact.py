@@ -26,7 +26,8 @@ from fingerjax.contact.footprint import first_contact
 from fingerjax.contact.indenter import AbstractIndenter, Bar, FlatPlate, Tilted, from_spec
 from fingerjax.contact.pad import pad
 from fingerjax.fem.body import Material, material
-from fingerjax.fem.solver import MultigridCG, direct_available, solver_for
+from fingerjax.fem.cholesky import pardiso_available
+from fingerjax.fem.solver import MultigridCG, solver_for
 from fingerjax.finger import Finger
 from fingerjax.forward.sequence import Pushed, Sequence, check, prepare
 from fingerjax.geometry.presets import preset
@@ -140,9 +141,9 @@ def one_solve(sequence: Sequence) -> float:
 
 def one_factorisation(sequence: Sequence) -> float:
     """Seconds of one factorisation and one answer."""
-    if not direct_available():
+    if not pardiso_available():
         return math.nan
-    solver = solver_for(sequence.body, "factorised")
+    solver = solver_for(sequence.body, "pardiso")
     load = sequence.columns.load(jnp.zeros(sequence.columns.count).at[0].set(1.0))[None]
     began = time.perf_counter()
     solver.solve(sequence.body, LAYERED.lame(), load).displacement.block_until_ready()

@@ -23,11 +23,12 @@ import numpy as np
 from benchmarks._bodies import COARSE, FINE, Problem, bytes_per_unknown, moduli, problem
 from benchmarks._record import Figure, at_least, at_most, listed, run
 from fingerjax.fem.assembly import Assembled
+from fingerjax.fem.cholesky import pardiso_available
 from fingerjax.fem.columns import Columns, columns_from_matrix
 from fingerjax.fem.condensed import slopes
 from fingerjax.fem.multigrid import Hierarchy, hierarchy, preconditioner
 from fingerjax.fem.operator import apply, internal_force
-from fingerjax.fem.solver import AbstractSolver, MultigridCG, direct_available, solver_for
+from fingerjax.fem.solver import AbstractSolver, MultigridCG, solver_for
 from fingerjax.fem.stiffness import Elastic
 
 REPEATS = 3
@@ -46,7 +47,7 @@ def main(quick: bool) -> Iterator[Figure]:
     frozen = frozen if quick else hierarchy(small.body)
     yield from batches(small, frozen)
     yield from derivatives(small, frozen)
-    yield from condensing(small, iterated=not quick)
+    yield from condensing(small)
     yield from growth(GROWTH[:1] if quick else GROWTH)
     yield starting()
 
@@ -177,9 +178,9 @@ def iterations(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
     yield at_most("iterations, the worst of the box's corners at 0.48", found[worst], "1", 120, f"{note}; {worst}")
 
 
-def condensing(one: Problem, iterated: bool) -> Iterator[Figure]:
-    """A pad condensed, with all derivatives of what seven indentations read, against a factorisation and as many columns."""
-    if not direct_available():
+def condensing(one: Problem) -> Iterator[Figure]:
+    """A pad condensed, with all derivatives of what seven indentations read, against a factorisation and as many columns by PARDISO."""
+    if not pardiso_available():
         yield Figure("condensing 150 columns", float("nan"), "1", note="needs pip install fingerjax[direct]")
         return
     columns, tick = _pad(one, 150), itertools.count()
@@ -193,14 +194,11 @@ def condensing(one: Problem, iterated: bool) -> Iterator[Figure]:
         body = solver.condense(one.body, moved(), columns)
         return slopes(body, one.body, forces, directions)
 
-    host, load = solver_for(one.body, "factorised"), columns.loads()
+    host, own, load = solver_for(one.body, "pardiso"), solver_for(one.body, "frontal"), columns.loads()
     plain = seconds(lambda: host.held(Elastic(one.body, moved()), load))
     note = f"{len(one.body.free)} nodes, {columns.count} columns; factorisation and columns {plain:.2f} s"
     yield at_most("condensing with all derivatives, with PARDISO", seconds(lambda: condensed(host)) / plain, "1", 1.3, note)
-    if iterated:
-        alone = seconds(lambda: condensed(MultigridCG(hierarchy(one.body), tolerance=1e-8)), repeats=1)
-        note = f"{note}; no column gains from the others, see above"
-        yield at_most("condensing with all derivatives, without", alone / plain, "1", 6.0, note)
+    yield at_most("condensing with all derivatives, without", seconds(lambda: condensed(own)) / plain, "1", 6.0, note)
 
 
 def _pad(one: Problem, count: int) -> Columns:

@@ -15,12 +15,12 @@ from fingerjax.fem.compliance import compliance, displacement
 from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.operator import internal_force
 from fingerjax.fem.recovery import strain_columns
-from fingerjax.fem.solver import MultigridCG, direct_available, solver_for
+from fingerjax.fem.solver import MultigridCG, solver_for
 
 from .fem_tools import cube_body
 
 SKIN = material({"epidermis": 0.18, "dermis": 0.018, "adipose": 0.012, "fibrous": 0.03}, 0.48)
-SOLVERS = ["multigrid", pytest.param("factorised", marks=pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed"))]
+SOLVERS = ["multigrid", "factorised"]
 
 
 @pytest.fixture(scope="module")

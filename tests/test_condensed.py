@@ -8,16 +8,19 @@ import pytest
 import scipy.sparse as sp
 
 from fingerjax.fem.body import material
-from fingerjax.fem.cholesky import Cholesky
+from fingerjax.fem.cholesky import AbstractCholesky, Indefinite, pardiso_available
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.condensed import ByColumns, ByFactor, Stiffer, first_like, probe
 from fingerjax.fem.factorised import PARTIAL_FROM
+from fingerjax.fem.frontal import Frontal
+from fingerjax.fem.pardiso import Pardiso
 from fingerjax.fem.recovery import strain_columns
-from fingerjax.fem.solver import direct_available, solver_for
+from fingerjax.fem.solver import solver_for
 
 from .fem_tools import cube_body
 
-needs_direct = pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
+needs_pardiso = pytest.mark.skipif(not pardiso_available(), reason="pypardiso is not installed")
+FACTORISATIONS = [Frontal, pytest.param(Pardiso, marks=needs_pardiso)]
 SKIN = material({"epidermis": 0.18, "dermis": 0.018, "adipose": 0.012, "fibrous": 0.03}, 0.48)
 
 
@@ -34,7 +37,6 @@ def columns_of(body, every):
 
 
 @pytest.mark.slow
-@needs_direct
 @pytest.mark.parametrize("every", [1, 9])
 def test_both_solvers_condense_to_the_same(body, every):
     columns = columns_of(body, every)
@@ -69,7 +71,6 @@ def test_a_material_in_proportion_takes_the_solves_of_another(body):
         np.testing.assert_allclose(theirs, mine, atol=1e-7 * np.abs(mine).max())
 
 
-@needs_direct
 def test_an_older_condensation_still_answers_for_its_own_material(body):
     columns, solver = columns_of(body, 1), solver_for(body, "factorised")
     first = solver.condense(body, SKIN.lame(), columns)
@@ -78,15 +79,15 @@ def test_an_older_condensation_still_answers_for_its_own_material(body):
     np.testing.assert_allclose(first.held.matrix, 2.0 * second.held.matrix, rtol=1e-9)
 
 
-@needs_direct
-def test_the_schur_complement_is_the_stiffness_of_what_is_kept():
+@pytest.mark.parametrize("how", FACTORISATIONS)
+def test_the_schur_complement_is_the_stiffness_of_what_is_kept(how: type[AbstractCholesky]):
     random = np.random.default_rng(3)
     A = sp.random(80, 80, 0.08, random_state=3)
     K = sp.csr_matrix(A @ A.T + 2.0 * sp.eye(80))
     kept = random.random(80) < 0.15
     upper = sp.triu(K, format="csr")
     upper.sort_indices()
-    factor = Cholesky(upper.indptr, upper.indices, kept)
+    factor = how(upper.indptr, upper.indices, kept)
     for scale in (1.0, 3.0):
         schur = factor.factor(scale * upper.data)
         dense = scale * K.toarray()
@@ -95,9 +96,9 @@ def test_the_schur_complement_is_the_stiffness_of_what_is_kept():
         np.testing.assert_allclose(dense @ factor.solve(right), right, atol=1e-10)
 
 
-@needs_direct
-def test_a_matrix_that_is_not_positive_definite_is_refused():
+@pytest.mark.parametrize("how", FACTORISATIONS)
+def test_a_matrix_that_is_not_positive_definite_is_refused(how: type[AbstractCholesky]):
     upper = sp.csr_matrix(np.triu(np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.5], [0.0, 0.5, 1.0]])))
-    factor = Cholesky(upper.indptr, upper.indices)
-    with pytest.raises(ValueError, match="not positive definite"):
+    factor = how(upper.indptr, upper.indices)
+    with pytest.raises(Indefinite, match="not positive definite"):
         factor.factor(upper.data)

@@ -13,7 +13,7 @@ from fingerjax.fem.body import body, material
 from fingerjax.fem.compliance import displacement
 from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.operator import apply, internal_force, strain_energy
-from fingerjax.fem.solver import MultigridCG, direct_available
+from fingerjax.fem.solver import MultigridCG
 from fingerjax.mesh.bodies import block
 
 from .fem_tools import cube_body
@@ -80,7 +80,6 @@ def test_an_unknown_form_is_refused() -> None:
         body(block(), bone="held", dilatation="constant")
 
 
-@pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
 def test_the_locking_table_has_a_row_for_each_form_and_mesh() -> None:
     """The quick one: errors against the finest quadratic mesh, linear elements locking and the mean dilatation not."""
     with pytest.MonkeyPatch.context() as patch:

@@ -17,7 +17,7 @@ from fingerjax.effects.effect import ACTS_ON
 from fingerjax.effects.records import Context, Reading
 from fingerjax.errors import InputError
 from fingerjax.fem.body import body
-from fingerjax.fem.solver import Factorised, MultigridCG, direct_available, solver_for
+from fingerjax.fem.solver import Factorised, MultigridCG, solver_for
 from fingerjax.fem.springs import bed, facets, film, springs, tension
 from fingerjax.fem.stiffness import Elastic
 from fingerjax.forward import Assembled, assemble, rigs
@@ -164,7 +164,6 @@ def test_thicker_dermis_has_that_much_more_of_it(ready: Assembled) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not direct_available(), reason="needs the extra fingerjax[direct]")
 def test_both_solvers_feel_the_same_springs(ready: Assembled) -> None:
     corneum = next(effect for effect in catalogue() if effect.name == "stratum_corneum")
     fibres = next(effect for effect in catalogue() if effect.name == "anisotropy")

@@ -15,7 +15,7 @@ from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.energy import internal_force
 from fingerjax.fem.equilibrium import Newton, NodalForces, Tissue, find, slopes
 from fingerjax.fem.operator import nodal_forces
-from fingerjax.fem.solver import direct_available, solver_for
+from fingerjax.fem.solver import solver_for
 from fingerjax.fem.stiffness import Tangent, tangent
 from fingerjax.fem.tissue import Exponential, FiniteStrain, Linear
 
@@ -32,8 +32,7 @@ def law(homotopy=1.0, stiffening=1.0):
     return Exponential(FiniteStrain(homotopy), stiffening * B)
 
 
-needs_direct = pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
-SOLVERS = ["multigrid", pytest.param("factorised", marks=needs_direct)]
+SOLVERS = ["multigrid", "factorised"]
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +43,7 @@ def body():
 
 @pytest.fixture(scope="module")
 def solvers(body):
-    return {kind: solver_for(body, kind) for kind in ("multigrid", *(["factorised"] if direct_available() else []))}
+    return {kind: solver_for(body, kind) for kind in ("multigrid", "factorised")}
 
 
 def exact_stress(tissue, slope):
@@ -96,7 +95,6 @@ def test_both_solvers_find_the_same_and_newton_is_quadratic(body, solvers):
     SOLVED.check(found[-1].state.displacement, found[0].state.displacement)
 
 
-@needs_direct
 def test_both_solvers_reduce_strained_tissue_to_the_same_columns(body, solvers):
     face = np.flatnonzero(np.asarray(body.nodes)[:, 1] < 1e-9)[::4]
     shape = (3 * len(body.nodes), len(face))
@@ -110,7 +108,6 @@ def test_both_solvers_reduce_strained_tissue_to_the_same_columns(body, solvers):
     assert jnp.abs(one.matrix - linear).max() > 0.05 * jnp.abs(linear).max()
 
 
-@needs_direct
 def test_the_end_does_not_depend_on_the_steps(body, solvers):
     slope = jnp.array([0.4, 0.1, 0.0])
     load = NodalForces(nodal_forces(body, jnp.broadcast_to(exact_stress(law(), slope), (*body.weight.shape, 3, 3))))
@@ -122,7 +119,6 @@ def test_the_end_does_not_depend_on_the_steps(body, solvers):
     SOLVED.check(find(tissue, load, start=half.state).state.displacement, eight.state.displacement)
 
 
-@needs_direct
 def test_a_search_without_an_end_says_where_it_stopped(body, solvers):
     tissue, load = Tissue(body, law(1.0, 0.0), EVEN, solvers["factorised"]), pull(body, 0.05)
     few = Newton(iterations=2, smallest=0.3)
@@ -133,7 +129,6 @@ def test_a_search_without_an_end_says_where_it_stopped(body, solvers):
     assert jnp.all(jnp.isfinite(found.state.displacement))
 
 
-@needs_direct
 def test_a_tangent_that_is_not_positive_definite_is_refused(body, solvers):
     stiffness = tangent(body, Linear(), EVEN, jnp.zeros(body.nodes.shape))
     wrong = Tangent(body, EVEN, -stiffness.moduli)
@@ -142,7 +137,6 @@ def test_a_tangent_that_is_not_positive_definite_is_refused(body, solvers):
     assert solvers["factorised"].undo(stiffness, pull(body)[None]).converged.all()
 
 
-@needs_direct
 def test_slopes_in_moduli_and_nonlinear_parameters_match_differences(body, solvers):
     load, newton = NodalForces(pull(body)), Newton(tolerance=1e-12)
     values = jnp.array([0.1, -0.2, 1.5, 0.6])

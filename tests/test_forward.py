@@ -23,7 +23,7 @@ import yaml
 from fingerjax._results import RESULTS
 from fingerjax.fem.body import Body
 from fingerjax.fem.multigrid import hierarchy
-from fingerjax.fem.solver import MultigridCG, direct_available
+from fingerjax.fem.solver import MultigridCG
 from fingerjax.forward import Assembled, Prediction, assemble, model, rigs
 from fingerjax.forward.model import ASSUMED_NOISE, noise_of
 from fingerjax.forward.readings import Solved
@@ -87,10 +87,6 @@ def study_of(folder: Path, measured: dict[str, tuple[dict[str, Any], Rows]], fit
     return load_studies(folder / "small.yaml")["small"]
 
 
-def solver_kind() -> str:
-    return "factorised" if direct_available() else "multigrid"
-
-
 @pytest.fixture(scope="module", autouse=True)
 def coarse_wedge() -> Iterator[None]:
     """No refinement under the wedge and around the receptor: a spacing above the pad's own asks for none."""
@@ -103,14 +99,14 @@ def coarse_wedge() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def everything(tmp_path_factory: pytest.TempPathFactory) -> Assembled:
     """All four instruments on one mesh."""
-    return assemble(study_of(tmp_path_factory.mktemp("everything"), OF), solver=solver_kind())
+    return assemble(study_of(tmp_path_factory.mktemp("everything"), OF), solver="factorised")
 
 
 @pytest.fixture(scope="module")
 def plate(tmp_path_factory: pytest.TempPathFactory) -> Assembled:
     """One plate, one free modulus, and what is known of it from elsewhere."""
     free = {"free": ["epidermis.modulus"], "priors": {"epidermis.modulus": {"value_MPa": 0.16, "relative_sd": 0.1}}}
-    return assemble(study_of(tmp_path_factory.mktemp("plate"), {"plate": (PLATE, PRESSED)}, free), solver=solver_kind())
+    return assemble(study_of(tmp_path_factory.mktemp("plate"), {"plate": (PLATE, PRESSED)}, free), solver="factorised")
 
 
 def at(**factors: float) -> dict[str, float]:
@@ -208,7 +204,7 @@ def test_two_subjects_with_their_own_epidermis_and_one_tissue_beneath_are_recove
     profile = [{"subject": "a", **row} for row in PROFILE]
     soft = [f"{layer}.modulus" for layer in SOFT_LAYERS[1:]]
     said = {"free": ["epidermis.modulus", *soft], "tie": [soft], "per": {"epidermis.modulus": "subject"}}
-    begun = assemble(study_of(tmp_path, {"plate": (PLATE, pressed), "wedge": (WEDGE, profile)}, said), solver=solver_kind())
+    begun = assemble(study_of(tmp_path, {"plate": (PLATE, pressed), "wedge": (WEDGE, profile)}, said), solver="factorised")
     assert [one.name for one in begun.model.wired.free] == ["epidermis.modulus[a]", "epidermis.modulus[b]", "dermis.modulus"]
     truth = {"epidermis.modulus[a]": 0.2, "epidermis.modulus[b]": 0.09, "dermis.modulus": 0.015}
     assembled = dataclasses.replace(begun, study=with_readings(begun.study, begun.predict(truth)))

@@ -15,7 +15,7 @@ from fingerjax.contact.chord import Chording
 from fingerjax.contact.strained import Indenting
 from fingerjax.fem.equilibrium import Newton, Tissue, find
 from fingerjax.fem.multigrid import hierarchy
-from fingerjax.fem.solver import MultigridCG, direct_available, solver_for
+from fingerjax.fem.solver import MultigridCG, solver_for
 from fingerjax.fem.tissue import AbstractTissue, Exponential, FiniteStrain, Linear
 from fingerjax.forward import Assembled, assemble, rigs
 from fingerjax.forward import strained as strained_module
@@ -31,7 +31,6 @@ NULLS = {"linear": Linear(), "homotopy 0 and b 0": Exponential(FiniteStrain(0.0)
 TIGHT = Chording(tolerance=1e-10)
 EXACT = Grade(1e-8, 1e-13, "the linear engine's own factorisation answers")
 SAME_STATE = Grade(1e-6, 1e-12, "two searches for one equilibrium, each to 1e-8")
-needs_direct = pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,7 +55,6 @@ def rows(found: Strained) -> np.ndarray:
     return np.concatenate([np.asarray(each) for each in found.prediction.readings])
 
 
-@needs_direct
 @pytest.mark.slow
 @pytest.mark.parametrize("law", NULLS.values(), ids=NULLS)
 def test_null_tissue_reads_what_the_linear_engine_reads(everything: Assembled, law: AbstractTissue) -> None:
@@ -69,7 +67,6 @@ def test_null_tissue_reads_what_the_linear_engine_reads(everything: Assembled, l
         EXACT.check(mine, theirs)
 
 
-@needs_direct
 @pytest.mark.slow
 def test_every_case_rests_where_newton_finds_it_to(everything: Assembled, strained: Strained) -> None:
     """A plate, a wedge and a bar by travel, and a plate by force, each against Newton's method from rest with its own tangents."""
@@ -90,7 +87,6 @@ def test_every_case_rests_where_newton_finds_it_to(everything: Assembled, strain
         SAME_STATE.check(rest.contact.travel, newton.state.travel)
 
 
-@needs_direct
 @pytest.mark.slow
 def test_a_case_that_is_far_from_the_one_before_is_reached_in_steps(everything: Assembled, monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches that fail where the indenter goes more than 0.3 mm beyond the skin at once, and no Newton's method to stand in."""
@@ -110,7 +106,6 @@ def test_a_case_that_is_far_from_the_one_before_is_reached_in_steps(everything: 
 
 
 @pytest.mark.slow
-@needs_direct
 def test_a_warm_start_saves_iterations_and_changes_nothing(everything: Assembled, strained: Strained) -> None:
     again = strained_readings(everything.model, at(), STIFFENING, start=strained)
     assert all(ended.iterations == 1 and ended.factorisations == 0 for rig in again.cases for ended in rig)
@@ -127,7 +122,6 @@ def law(phi: jnp.ndarray) -> AbstractTissue:
 
 
 @pytest.mark.slow
-@needs_direct
 def test_the_tangent_at_null_is_that_of_strained_readings(everything: Assembled) -> None:
     null, h = jnp.zeros(3), 2e-4
     columns = np.asarray(law_tangent(everything.model, at(), law, null))
@@ -146,7 +140,6 @@ def of(vector: jnp.ndarray) -> tuple[dict, AbstractTissue]:
 
 
 @pytest.mark.slow
-@needs_direct
 def test_slopes_at_strained_states_match_differences(everything: Assembled) -> None:
     here = jnp.asarray([np.log(0.14), np.log(0.012), 2e-5, 0.9, 5.0])
     found = strained_readings(everything.model, *of(here), chording=TIGHT)
@@ -158,7 +151,6 @@ def test_slopes_at_strained_states_match_differences(everything: Assembled) -> N
 
 
 @pytest.mark.slow
-@needs_direct
 def test_fingers_in_proportion_share_their_shapes(tmp_path: Path) -> None:
     """One search and one tangent for both, with forces and slopes in proportion, as each by itself has them."""
     pressed = [{"subject": name, "displacement_mm": d, "force_N": 0.1} for name in "ab" for d in (0.3, 0.6)]
@@ -182,7 +174,6 @@ def test_fingers_in_proportion_share_their_shapes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@needs_direct
 def test_what_is_not_found_has_no_number(everything: Assembled, strained: Strained) -> None:
     """A plate that goes through the finger; and slopes there."""
     model = everything.model
@@ -196,7 +187,6 @@ def test_what_is_not_found_has_no_number(everything: Assembled, strained: Strain
     assert not short.prediction.converged and np.isnan(rows(short)).all()
 
 
-@needs_direct
 @pytest.mark.slow
 def test_iterations_find_what_the_factorisation_finds(everything: Assembled, strained: Strained) -> None:
     multigrid = dataclasses.replace(everything.model, solver=solver_for(everything.model.body, "multigrid"))

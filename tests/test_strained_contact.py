@@ -19,7 +19,7 @@ from fingerjax.fem.carried import admissible
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.energy import internal_force
 from fingerjax.fem.equilibrium import Newton, NodalForces, Tissue, find, slopes
-from fingerjax.fem.solver import direct_available, solver_for
+from fingerjax.fem.solver import solver_for
 from fingerjax.fem.tissue import Exponential, FiniteStrain
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh.bodies import block
@@ -31,7 +31,6 @@ LAME = material(dict.fromkeys(SOFT_LAYERS, 0.1), 0.45).lame()
 B = jnp.full(5, 4.0)
 BOTH, NULL = Exponential(FiniteStrain(), B), Exponential(FiniteStrain(0.0), 0.0 * B)  # of one structure: compiled once
 DEPTH = 0.2  # mm; the contact radius is about 0.8
-needs_direct = pytest.mark.skipif(not direct_available(), reason="pypardiso is not installed")
 TIGHT = Newton(tolerance=1e-11)
 
 
@@ -131,7 +130,6 @@ def test_columns_of_pressures_are_as_good_as_columns_of_nodes(rig, pressed):
     SOLVED.check(by_node.state.displacement, pressed.state.displacement)
 
 
-@needs_direct
 @pytest.mark.slow
 def test_iterations_find_what_the_factorisation_finds(rig, pressed):
     """Without the extra, the linear body's hierarchy leads the way through the strained one's stiffness."""
@@ -157,7 +155,6 @@ def test_forces_on_the_bone_are_balanced_by_the_tissue_around_it(rig):
     np.testing.assert_allclose(jnp.einsum("mni,ni->m", rig.body.modes, force - load), 0.0, atol=1e-11)
 
 
-@needs_direct
 def test_too_deep_a_travel_is_cut_and_an_impossible_one_is_said_to_be(rig):
     deep = rig.find(BOTH, travel=0.9)
     assert deep.result.ok and deep.cuts > 0 and deep.smallest_volume > 0
@@ -171,7 +168,6 @@ def law(values):
     return Exponential(FiniteStrain(values[2]), jnp.full(5, values[1])), LAME * jnp.exp(values[0])
 
 
-@needs_direct
 @pytest.mark.parametrize("control", ["travel", "force"])
 def test_slopes_in_moduli_and_stiffening_match_differences(rig, pressed, control):
     values, h = jnp.array([0.1, 3.0, 0.7]), 1e-4

@@ -24,7 +24,7 @@ from fingerjax.runners import Runner
 from fingerjax.spelling import choose_from
 from fingerjax.study import Study, load_studies
 
-SOLVERS = ("auto", "multigrid", "factorised")
+SOLVERS = ("auto", "multigrid", "factorised", "pardiso", "frontal")
 SHOWN = 8  # effects on the terminal; all of them are in the report
 COLUMNS = ("effect", "acts_on", "score", "size_estimated", "smallest_visible", "unit", "in_the_set", "remark")
 
@@ -37,7 +37,7 @@ def diagnose(
     effects: Annotated[str | None, typer.Option(metavar="A,B", help="Only these effects, or all; instead of the study's.")] = None,
     effects_folder: Annotated[Path | None, typer.Option(help="Folder with effects of your own, one file each.")] = None,
     seed: Annotated[int, typer.Option(help="Of every random draw.")] = 0,
-    solver: Annotated[str, typer.Option(help="auto, multigrid or factorised.")] = "auto",
+    solver: Annotated[str, typer.Option(help="auto, multigrid, factorised, pardiso or frontal.")] = "auto",
     fresh: Annotated[bool, typer.Option("--fresh", help="Forget what a run that was stopped had finished.")] = False,
 ) -> None:
     """Say what the model lacks: which effect, of those in the catalogue, explains what a fit leaves over.

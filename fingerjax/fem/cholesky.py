@@ -1,93 +1,61 @@
-"""A sparse Cholesky factorisation by MKL PARDISO: analysed once for a pattern, and able to leave some unknowns to the end.
+"""A sparse Cholesky factorisation, analysed once for a pattern, and able to leave some unknowns to the end.
 
     K = [[A, B'], [B, D]]    ->    S = D - B A^-1 B'
 
 The Schur complement S of the unknowns that are kept is the stiffness of the body as felt at them, and falls out of the same
-factorisation that afterwards answers any load.
+factorisation that afterwards answers any load. MKL PARDISO does it where that is installed, `Frontal` everywhere.
 """
 
 from __future__ import annotations
 
-import ctypes
-import sys
+import abc
+import importlib.util
 
 import numpy as np
-
-SYMMETRIC_POSITIVE_DEFINITE = 2
-ANALYSE, FACTOR, SOLVE, RELEASE = 11, 22, 33, -1
-_INT = ctypes.c_int32
 
 
 class Indefinite(ValueError):
     """A matrix that should have been positive definite is not."""
 
+    def __init__(self) -> None:
+        super().__init__("the stiffness is not positive definite: something is not held, or an element is inverted")
 
-class Cholesky:
+
+class AbstractCholesky(abc.ABC):
     """Factorisations of symmetric positive definite matrices (n, n) of one sparsity.
 
     **Arguments:**
 
     - `indptr`, `indices`: of the upper triangle, by rows, with sorted indices and every diagonal entry.
     - `kept`: (n,) bool, unknowns whose Schur complement is wanted; None where none is.
-
-    Needs the extra `direct`; raises `ImportError` without it.
     """
 
-    def __init__(self, indptr: np.ndarray, indices: np.ndarray, kept: np.ndarray | None = None):
-        from pypardiso import PyPardisoSolver
+    @abc.abstractmethod
+    def __init__(self, indptr: np.ndarray, indices: np.ndarray, kept: np.ndarray | None = None): ...
 
-        self.size = len(indptr) - 1
-        self.kept = 0 if kept is None else int(np.count_nonzero(kept))
-        self._library = PyPardisoSolver(mtype=SYMMETRIC_POSITIVE_DEFINITE)
-        self._indptr, self._indices = (np.asarray(part, np.int32) + 1 for part in (indptr, indices))
-        self._order = np.zeros(self.size, np.int32) if kept is None else np.asarray(kept, np.int32)
-        self._options = np.zeros(64, np.int32)
-        self._options[[0, 1]] = 1, 2  # own options; nested dissection
-        self._options[35] = 2 if self.kept else 0  # the Schur complement, and factors that solve as well
-        self._data = np.zeros(len(self._indices))
-        self._analysed = False
-
+    @abc.abstractmethod
     def factor(self, data: np.ndarray) -> np.ndarray:
-        """Factorise the matrix whose upper triangle holds `data`; the Schur complement (k, k) of the kept unknowns, in their order.
+        """Factorise the matrix with these entries, and return the Schur complement (kept, kept) of the kept unknowns, in their order.
 
         Raises `Indefinite` where the matrix is not positive definite.
         """
-        self._data = np.ascontiguousarray(data, float)
-        schur, nothing = np.zeros((max(self.kept, 1),) * 2), np.zeros(1)
-        if not self._analysed:
-            self._call(ANALYSE, nothing, nothing)
-            self._analysed = True
-        self._call(FACTOR, nothing, schur)
-        return schur[: self.kept, : self.kept]
 
+    @abc.abstractmethod
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The unknowns (n, m) under loads (n, m), with the last matrix that was factorised."""
-        right = np.asfortranarray(right, float)
-        answer = np.zeros_like(right, order="F")
-        if right.shape[1]:
-            self._call(SOLVE, right, answer)
-        return answer
 
-    def _call(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
-        columns = right.shape[1] if right.ndim == 2 else 1
-        error = _INT(0)
-        self._library._mkl_pardiso(
-            self._library.pt.ctypes.data_as(ctypes.POINTER(self._library._pt_type[0])),
-            *(_INT(value) for value in (1, 1, SYMMETRIC_POSITIVE_DEFINITE, phase, self.size)),
-            self._data.ctypes.data_as(ctypes.c_void_p),
-            *(part.ctypes.data_as(ctypes.POINTER(_INT)) for part in (self._indptr, self._indices, self._order)),
-            _INT(columns),
-            self._options.ctypes.data_as(ctypes.POINTER(_INT)),
-            _INT(0),
-            right.ctypes.data_as(ctypes.c_void_p),
-            answer.ctypes.data_as(ctypes.c_void_p),
-            ctypes.byref(error),
-        )
-        if error.value == -4:
-            raise Indefinite("the stiffness is not positive definite: something is not held, or an element is inverted")
-        if error.value:
-            raise RuntimeError(f"MKL PARDISO failed with error {error.value} in phase {phase}")
 
-    def __del__(self) -> None:
-        if getattr(self, "_analysed", False) and not sys.is_finalizing():
-            self._call(RELEASE, np.zeros(1), np.zeros(1))
+def pardiso_available() -> bool:
+    """Whether the extra `direct` is installed."""
+    return importlib.util.find_spec("pypardiso") is not None
+
+
+def best() -> type[AbstractCholesky]:
+    """The fastest factorisation of those that are installed."""
+    if pardiso_available():
+        from .pardiso import Pardiso
+
+        return Pardiso
+    from .frontal import Frontal
+
+    return Frontal

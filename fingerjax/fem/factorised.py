@@ -12,7 +12,7 @@ from jaxtyping import Array
 from .assembly import Assembled
 from .body import Body
 from .carried import Carriage, bone_loads, carriage
-from .cholesky import Cholesky
+from .cholesky import AbstractCholesky, best
 from .columns import Columns
 from .condensed import AbstractCondensed, ByFactor, Held, probe
 from .stiffness import AbstractStiffness, Elastic
@@ -25,12 +25,15 @@ PROBES = 8  # random combinations of all loads in which a factorisation's residu
 class Host:
     """The assembled pattern of one body, or of several that share elements and supports, and the last factorisation done with it; lives
     outside compiled code.
+
+    `how`: the factorisation to use.
     """
 
-    def __init__(self, body: Body):
+    def __init__(self, body: Body, how: type[AbstractCholesky] | None = None):
+        self._how = how or best()
         self.body, self.assembled = body, Assembled(body, upper=True)
         self.nodes = len(body.free)
-        self._factor: Cholesky | None = None
+        self._factor: AbstractCholesky | None = None
         self._kept = np.zeros(len(self.assembled.free), bool)
         self._stiffness: AbstractStiffness | None = None
         self._K = sp.csr_matrix((0, 0))
@@ -113,7 +116,7 @@ class Host:
         self._K, self._stiffness = stiffness.matrix(self.assembled), None
         if other_pattern:
             self._factor = None  # its memory goes before the next one's comes
-            self._factor = Cholesky(self._K.indptr, self._K.indices, wanted if wanted.any() else None)
+            self._factor = self._how(self._K.indptr, self._K.indices, wanted if wanted.any() else None)
             self._kept = wanted
         assert self._factor is not None
         schur = self._factor.factor(self._K.data)

@@ -1,8 +1,10 @@
 """Two ways to find the displacement under given nodal forces, behind one interface.
 
-- `MultigridCG`: matrix-free conjugate gradients with a multigrid V-cycle, compiled, no extra package. The default and the reference.
-- `Factorised`: a sparse Cholesky factorisation on the host (MKL PARDISO, the extra `direct`), the faster one when many loads are asked
-  for at once, and the way to condense a skin that is touched at hundreds of places. `python -m benchmarks.peers` compares the two.
+- `MultigridCG`: matrix-free conjugate gradients with a multigrid V-cycle, compiled. For large meshes and
+  other devices, and the reference.
+- `Factorised`: a sparse Cholesky factorisation on the host, the faster one when many loads are asked for at once, and the way to condense
+  a skin that is touched at hundreds of places. MKL PARDISO where the extra `direct` is installed, else our own in NumPy, about half as
+  fast. `python -m benchmarks.engine` and `python -m benchmarks.peers` compare them.
 
 Where JAX sees several devices, `Shared` deals load cases out among them. All return the true residual. None is differentiated:
 derivatives come from the implicit rule in `displacement` and from the closed forms in `compliance` and `condensed`.
@@ -11,7 +13,6 @@ derivatives come from the implicit rule in `displacement` and from the closed fo
 from __future__ import annotations
 
 import abc
-import importlib.util
 from collections.abc import Callable
 from functools import partial
 
@@ -24,9 +25,11 @@ from jaxtyping import Array, Float
 
 from .body import Body
 from .carried import bone_loads, carriage, let_go
+from .cholesky import best, pardiso_available
 from .columns import Columns
 from .condensed import AbstractCondensed, ByColumns, Held
 from .factorised import CONVERGED, Host
+from .frontal import Frontal
 from .krylov import Field, Solution, conjugate_gradients
 from .multigrid import Hierarchy, hierarchy, preconditioner
 from .operator import Lame
@@ -189,7 +192,7 @@ def _checked(displacement: np.ndarray, residual: float) -> Solution:
 
 
 class Factorised(AbstractSolver):
-    """Sparse Cholesky by MKL PARDISO on the host. Needs the extra: `pip install fingerjax[direct]`."""
+    """Sparse Cholesky on the host."""
 
     host: Host = eqx.field(static=True)
 
@@ -209,19 +212,21 @@ class Factorised(AbstractSolver):
         return self.host.condense(stiffness, columns)
 
 
-def direct_available() -> bool:
-    return importlib.util.find_spec("pypardiso") is not None
+LARGEST = 60_000  # nodes up to which a factorisation pays
 
 
 def solver_for(body: Body, kind: str = "auto") -> AbstractSolver:
-    """The solver to use for a body: `"multigrid"`, `"factorised"`, or `"auto"`, which factorises where that is installed and pays."""
+    """The solver to use for a body: `"multigrid"`, `"factorised"`, or `"auto"`, which factorises unless the body is large.
+
+    `"factorised"` is `"pardiso"` where that is installed, and else `"frontal"`; either can be named.
+    """
     if kind == "auto":
-        kind = "factorised" if direct_available() and len(body.free) < 60_000 else "multigrid"
-    if kind == "factorised":
-        if not direct_available():
-            raise ImportError("the factorised solver needs MKL PARDISO: pip install fingerjax[direct], or choose solver 'multigrid'")
-        return Factorised(Host(body))
+        kind = "factorised" if len(body.free) < LARGEST else "multigrid"
+    if kind == "pardiso" and not pardiso_available():
+        raise ImportError("the solver 'pardiso' needs MKL PARDISO: pip install fingerjax[direct], or choose 'factorised' or 'multigrid'")
+    if kind in ("factorised", "pardiso", "frontal"):
+        return Factorised(Host(body, Frontal if kind == "frontal" else best()))
     if kind != "multigrid":
-        raise ValueError(f"unknown solver {kind!r}; choose 'auto', 'multigrid' or 'factorised'")
+        raise ValueError(f"unknown solver {kind!r}; choose 'auto', 'multigrid', 'factorised', 'pardiso' or 'frontal'")
     solver, devices = MultigridCG(hierarchy(body)), tuple(jax.devices())
     return Shared(solver, devices) if len(devices) > 1 else solver
