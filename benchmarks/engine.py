@@ -45,8 +45,8 @@ def main(quick: bool) -> Iterator[Figure]:
     yield from bandwidth(one, frozen)
     yield from iterations(one, frozen)
     frozen = frozen if quick else hierarchy(small.body)
-    yield from batches(small, frozen)
-    yield from derivatives(small, frozen)
+    yield from many(one, None)
+    yield from many(small, frozen)
     yield from condensing(small)
     yield from growth(GROWTH[:1] if quick else GROWTH)
     yield starting()
@@ -110,26 +110,47 @@ def bandwidth(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
     yield at_least("V-cycle reads, as a share of the triad", moved / triad, "1", 0.6, note)
 
 
-def batches(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
-    """A column among sixteen against a column alone."""
-    nodes = len(one.body.free)
+class _Fresh:
+    """The elastic body at moduli that no call has seen, so that nothing is kept from one call to the next."""
+
+    def __init__(self, one: Problem):
+        self.one, self._tick = one, itertools.count()
+
+    def lame(self) -> jax.Array:
+        return self.one.lame * (1 + 1e-6 * next(self._tick))
+
+    def __call__(self) -> Elastic:
+        return Elastic(self.one.body, self.lame())
+
+
+def many(one: Problem, frozen: Hierarchy | None) -> Iterator[Figure]:
+    """By factorisation, or by multigrid where there is a hierarchy: a column among sixteen, and derivatives, against one answer."""
+    nodes, fresh = len(one.body.free), _Fresh(one)
     rows = np.flatnonzero(one.load[:, 1])[:16]
     loads = jnp.zeros((len(rows), nodes, 3)).at[jnp.arange(len(rows)), rows, 1].set(1.0)
-    stiffness = Elastic(one.body, one.lame)
+    if frozen is None:
+        solver, name, note = solver_for(one.body, "frontal"), "factorised", f"{nodes} nodes, our own factorisation"
+        yield from _batch(solver, solver, 16, fresh, loads, f"{name}: ", note)
+        yield from derivatives(one, solver, fresh, f"{name}: ", note)
+        return
     single = MultigridCG(frozen, tolerance=1e-8, batch=1)
-    alone = seconds(lambda: single.held(stiffness, loads[:1]))
     for batch in (2, 4, 16):
-        many = MultigridCG(frozen, tolerance=1e-8, batch=batch)
-        share = seconds(partial(many.held, stiffness, loads)) / len(rows) / alone
-        figure, note = f"a column of 16, {batch} at a time, against a single solve", f"{nodes} nodes; single {alone:.2f} s"
-        yield at_most(figure, share, "1", 0.35, note) if batch == 16 else Figure(figure, share, "1", note=note)
+        yield from _batch(single, MultigridCG(frozen, tolerance=1e-8, batch=batch), batch, fresh, loads, "multigrid: ", f"{nodes} nodes")
+    yield from derivatives(one, MultigridCG(frozen, tolerance=1e-8, batch=4), fresh, "multigrid: ", f"{nodes} nodes")
 
 
-def derivatives(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
+def _batch(
+    single: AbstractSolver, solver: AbstractSolver, batch: int, fresh: _Fresh, loads: jax.Array, title: str, note: str
+) -> Iterator[Figure]:
+    alone = seconds(lambda: single.held(fresh(), loads[:1]))
+    share = seconds(lambda: solver.held(fresh(), loads)) / len(loads) / alone
+    figure, note = f"{title}a column of 16, {batch} at a time, against a single solve", f"{note}; single {alone:.2f} s"
+    yield at_most(figure, share, "1", 0.35, note) if batch == 16 else Figure(figure, share, "1", note=note)
+
+
+def derivatives(one: Problem, solver: AbstractSolver, fresh: _Fresh, title: str, note: str) -> Iterator[Figure]:
     """Force with its moduli's derivatives, and sixteen skin deflections with theirs, against the answer alone."""
-    solver = MultigridCG(frozen, tolerance=1e-8, batch=4)
-    body, nodes = one.body, len(one.body.free)
-    stiffness, load = Elastic(body, one.lame), jnp.asarray(one.load)
+    body, load = one.body, jnp.asarray(one.load)
     rows = np.flatnonzero(one.load[:, 1])[:16]
     units = jnp.eye(8).reshape(8, 2, 4)
     units = jnp.pad(units, ((0, 0), (0, 0), (0, one.lame.shape[1] - 4)))
@@ -138,21 +159,22 @@ def derivatives(one: Problem, frozen: Hierarchy) -> Iterator[Figure]:
     def tangents(body: Any, u: jax.Array) -> jax.Array:
         return jax.lax.map(lambda unit: internal_force(body, unit, u), units)
 
-    def forward() -> jax.Array:
+    def forward(stiffness: Elastic) -> jax.Array:
         return solver.held(stiffness, load[None]).displacement[0]
 
     def force() -> tuple[jax.Array, jax.Array]:
-        u = forward()
+        u = forward(fresh())
         return jnp.vdot(load, u), -tangents(body, u).reshape(8, -1) @ u.ravel()
 
     def profile() -> tuple[jax.Array, jax.Array]:
-        u = forward()
+        stiffness = fresh()
+        u = forward(stiffness)
         return u[rows, 1], -solver.held(stiffness, _by_modulus(tangents(body, u))).displacement[:, rows, 1]
 
-    alone = seconds(forward)
-    note = f"{nodes} nodes; forward {alone:.2f} s"
-    yield at_most("compliance with all derivatives, against the compliance", seconds(force) / alone, "1", 1.1, note)
-    yield at_most("profile with the Jacobian of four moduli, against the profile", seconds(profile) / alone, "1", 2.5, note)
+    alone = seconds(lambda: forward(fresh()))
+    note = f"{note}; forward {alone:.2f} s"
+    yield at_most(f"{title}compliance with all derivatives, against the compliance", seconds(force) / alone, "1", 1.1, note)
+    yield at_most(f"{title}profile with the Jacobian of four moduli, against the profile", seconds(profile) / alone, "1", 2.5, note)
 
 
 def _by_modulus(tangents: jax.Array) -> jax.Array:
@@ -183,19 +205,16 @@ def condensing(one: Problem) -> Iterator[Figure]:
     if not pardiso_available():
         yield Figure("condensing 150 columns", float("nan"), "1", note="needs pip install fingerjax[direct]")
         return
-    columns, tick = _pad(one, 150), itertools.count()
+    columns, fresh = _pad(one, 150), _Fresh(one)
     forces = jax.random.uniform(jax.random.key(0), (7, columns.count))
     directions = jnp.eye(one.lame.size).reshape(-1, *one.lame.shape)
 
-    def moved() -> jax.Array:
-        return one.lame * (1 + 1e-6 * next(tick))  # nothing is kept from one call to the next
-
     def condensed(solver: AbstractSolver) -> jax.Array:
-        body = solver.condense(one.body, moved(), columns)
+        body = solver.condense(one.body, fresh.lame(), columns)
         return slopes(body, one.body, forces, directions)
 
     host, own, load = solver_for(one.body, "pardiso"), solver_for(one.body, "frontal"), columns.loads()
-    plain = seconds(lambda: host.held(Elastic(one.body, moved()), load))
+    plain = seconds(lambda: host.held(fresh(), load))
     note = f"{len(one.body.free)} nodes, {columns.count} columns; factorisation and columns {plain:.2f} s"
     yield at_most("condensing with all derivatives, with PARDISO", seconds(lambda: condensed(host)) / plain, "1", 1.3, note)
     yield at_most("condensing with all derivatives, without", seconds(lambda: condensed(own)) / plain, "1", 6.0, note)
