@@ -23,7 +23,7 @@ from fingerjax.forward.strained import Strained, place_of, strained_readings
 from fingerjax.forward.strained_slopes import law_tangent, strained_jacobian
 
 from .helpers import DIFFERENCED, SOLVED, Grade
-from .test_forward import OF, PLATE, at, imposing, solver_kind, study_of
+from .test_forward import OF, PLATE, at, imposing, study_of
 
 B = jnp.asarray([6.0, 6.0, 0.0, 0.0, 0.0])
 STIFFENING = Exponential(FiniteStrain(), B)
@@ -43,7 +43,7 @@ def coarse_wedge() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def everything(tmp_path_factory: pytest.TempPathFactory) -> Assembled:
-    return assemble(study_of(tmp_path_factory.mktemp("strained"), OF), solver=solver_kind())
+    return assemble(study_of(tmp_path_factory.mktemp("strained"), OF), solver="factorised")
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_fingers_in_proportion_share_their_shapes(tmp_path: Path) -> None:
     """One search and one tangent for both, with forces and slopes in proportion, as each by itself has them."""
     pressed = [{"subject": name, "displacement_mm": d, "force_N": 0.1} for name in "ab" for d in (0.3, 0.6)]
     study = study_of(tmp_path, {"plate": (PLATE, pressed)}, {"free": ["stiffness"], "per": {"stiffness": "subject"}})
-    ready = assemble(study, solver=solver_kind())
+    ready = assemble(study, solver="factorised")
 
     def given(vector: jnp.ndarray) -> tuple[dict, AbstractTissue]:
         return {"stiffness[a]": jnp.exp(vector[0]), "stiffness[b]": jnp.exp(vector[1])}, law(jnp.stack([vector[2], vector[3], vector[3]]))
