@@ -52,6 +52,9 @@ class Ended(NamedTuple):
     result: RESULTS
 
 
+UNTRIED = Ended(None, 0, 0, 0, False, RESULTS.not_converged)
+
+
 @dataclasses.dataclass(frozen=True)
 class Strained:
     """Readings of every measurement, and the equilibria behind them: for each rig and case how it ended. A warm start for the next.
@@ -82,11 +85,13 @@ def strained_readings(
 ) -> Strained:
     """Every reading at these values of a study whose tissue follows a law; outside of compiled code.
 
+    The first case without an equilibrium ends it: what comes after would be looked for long, and is of no use alone.
+
     **Arguments:** `start`, what was found at neighbouring values or of a neighbouring law. `quantity`: what the receptor is taken to feel.
     """
     chording = Chording() if chording is None else chording
     rigs = model.instruments.rigs
-    cases: list[list[Ended | None]] = [[None] * len(rig.pose) for rig in rigs]
+    cases: list[list[Ended]] = [[UNTRIED] * len(rig.pose) for rig in rigs]
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
     linear = {number: _once(partial(model.solver.condense, model.body, one.lame, model.columns)) for number, one in enumerate(tissues)}
     likes = [first_like(model.body, [one.lame for one in tissues], variant)[0] for variant in range(len(tissues))]
@@ -100,9 +105,15 @@ def strained_readings(
                 warm = [known[i] if other is None else _rest(cases[number][other]) for i, other in enumerate(twins)]
                 loads = [imposed_on(model, values, rig, case) for case in path]
                 followed = _followed(tissue, place, partial(Chord.of, condensed, own), loads, warm, chording)
-                for case, ended in zip(path, followed, strict=True):
+                for case, ended in zip(path, followed, strict=False):
                     cases[number][case] = ended
-    found = tuple(tuple(ended for ended in rig if ended is not None) for rig in cases)
+                    if ended.rest is None:
+                        return _strained(model, values, cases, quantity)
+    return _strained(model, values, cases, quantity)
+
+
+def _strained(model: Model, values: Values, cases: list[list[Ended]], quantity: str) -> Strained:
+    found = tuple(tuple(rig) for rig in cases)
     return Strained(_prediction(model, values, found, quantity), found)
 
 
@@ -132,9 +143,9 @@ def twin(rig: Rig, case: int, variant: int) -> int | None:
     return int(found[0]) if len(found) and not rig.forced else None
 
 
-def _rest(ended: Ended | None) -> Ended | None:
+def _rest(ended: Ended) -> Ended:
     """Where a case ended, as a start that asks for no stiffness of its own."""
-    return None if ended is None else ended._replace(tangent=False)
+    return ended._replace(tangent=False)
 
 
 def place_of(model: Model, rig: Rig, pose: int) -> tuple[Place, np.ndarray]:
@@ -165,7 +176,7 @@ def _followed(
                 tangent = chord is not None
         chord = linear() if chord is None else chord
         if chord is None:
-            yield Ended(None, 0, 0, 0, False, RESULTS.not_converged)
+            yield UNTRIED
             continue
         if begin is None:
             from_ = np.zeros(3 * place.columns.nodes), place.overlapped(imposed)
