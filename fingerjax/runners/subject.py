@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..fem.body import Body
 from ..fem.cholesky import Indefinite
 from ..fem.solver import AbstractSolver, solver_for
-from ..fem.tissue import AbstractTissue, Linear
+from ..fem.tissue import Linear
 from ..forward.inner import Force, between, inner_slopes, model_body, of_law
 from ..forward.model import Assembled, assemble, lay_out
 from ..forward.readings import Prediction, Solved
@@ -31,6 +31,7 @@ from ..loop.subject import AbstractSubject, Evaluation, LogPrior
 from ..parameters import Parameter
 from ..study import Prior
 from .families import agree, family
+from .lawful import Lawful
 from .rows import rows_of
 
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
@@ -270,16 +271,9 @@ class FingerSubject(AbstractSubject):
         if not linear.usable or more is None:
             return self._failed(len(raw), len(moving))
         added, found, rough = more
-
-        values = self._values(raw, amounts)
-
-        def of(at: Array) -> tuple[dict[str, Any], AbstractTissue]:
-            named = {one.name: one.natural(at[number]) for number, one in enumerate(self.parameters)}
-            said = {name: dict(numbers) for name, numbers in amounts.items()}
-            for number, key in enumerate(laws):
-                said[self._ways[key].family][self._ways[key].name] = at[len(raw) + number]
-            return values | named, self._effects(said).law(Linear())
-
+        own = {name: jax.tree.map(jnp.asarray, numbers) for name, numbers in amounts.items() if self.effects[name].is_law}
+        moved = tuple((self._ways[key].family, self._ways[key].name) for key in laws)
+        of = Lawful(tuple(self.parameters), tuple(self.effects[name] for name in own), moved, self._values(raw, amounts), own)
         slopes = np.asarray(strained_jacobian(rough.model, of, jnp.asarray([*raw, *(phi[key] for key in laws)]), found))
         there = self._linearised(rough, raw, amounts, ())
         if there is None:

@@ -1,0 +1,35 @@
+"""Raw parameters and numbers of laws as one vector, for slopes at strained states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from ..effects import Effect
+from ..fem.tissue import AbstractTissue, Linear
+from ..parameters import Parameter
+
+
+class Lawful(eqx.Module):
+    """Values and the tissue's law from a vector of raw `parameters`, then of the `moving` numbers (effect, number) of `laws`.
+
+    What is held is in `values` and in `amounts`, effect -> its numbers. Numbers are arrays, so that code is compiled once for all of them.
+    """
+
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
+    laws: tuple[Effect, ...] = eqx.field(static=True)
+    moving: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    values: dict[str, Array]
+    amounts: dict[str, dict[str, Array]]
+
+    def __call__(self, at: Float[Array, " d"]) -> tuple[dict[str, Any], AbstractTissue]:
+        named = {one.name: one.natural(at[number]) for number, one in enumerate(self.parameters)}
+        said = {name: dict(numbers) for name, numbers in self.amounts.items()}
+        for (effect, number), value in zip(self.moving, at[len(self.parameters) :], strict=True):
+            said[effect][number] = value
+        law: AbstractTissue = Linear()
+        for one in self.laws:
+            law = one.law(law, said[one.name])
+        return self.values | named, law
