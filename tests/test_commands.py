@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -244,6 +245,16 @@ def test_the_bar_counts_a_study_by_what_it_took_before() -> None:
     assert _progress.remaining(30.0, 0.25) == pytest.approx(90.0)
     assert _progress.remaining(1.0, 0.0) is None
     assert _progress.clock(75.2) == "1:15"
+
+
+def test_without_a_terminal_what_is_done_is_said_in_lines_that_do_not_crowd(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, screen = [0.0], io.StringIO()
+    monkeypatch.setattr(_progress.time, "perf_counter", lambda: now[0])
+    tell = _progress.Board(["a"], {}, Console(file=screen, force_terminal=False)).teller("a")
+    steps = [(1.0, "meshing"), (12.0, "solving"), (15.0, "fitting"), (30.0, "solving"), (75.0, "drawing")]
+    for now[0], doing in steps:
+        tell(now[0] / 150, doing)
+    assert screen.getvalue().splitlines() == ["0:12    8 %  a: solving", "1:15   50 %  a: drawing"]
 
 
 def test_a_cut_through_tetrahedra_has_the_area_of_the_body() -> None:

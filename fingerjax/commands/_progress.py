@@ -1,4 +1,4 @@
-"""One bar over all steps of all studies, with the time left."""
+"""One bar over all steps of all studies, with the time left; a line now and then where there is no terminal to draw a bar on."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn
 from rich.text import Text
+
+APART = 10.0  # seconds between lines that stand in for a bar
 
 
 class TimeLeft(ProgressColumn):
@@ -49,6 +51,7 @@ class Board:
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
         self.progress = Progress(*columns, TimeElapsedColumn(), TimeLeft(), console=console, transient=True)
         self.task = self.progress.add_task("starting", total=1.0)
+        self._said = self.began, ""
 
     def __enter__(self) -> Board:
         if self.console.is_terminal:
@@ -66,8 +69,17 @@ class Board:
         def tell(share: float, doing: str) -> None:
             done = self.start[name] + self.share[name] * share
             self.progress.update(self.task, completed=done, description=f"{name}: {doing}"[:70])
+            if not self.console.is_terminal:
+                self._say(done, f"{name}: {doing}")
 
         return tell
+
+    def _say(self, done: float, text: str) -> None:
+        """What a bar would show, if it is news and the last line is not too fresh."""
+        now, (when, before) = time.perf_counter(), self._said
+        if text != before and now - when >= APART:
+            self._said = now, text
+            self.line(f"{clock(now - self.began)}  {100 * done:3.0f} %  {text}")
 
     def line(self, text: str) -> None:
         """A line that stays above the bar."""
