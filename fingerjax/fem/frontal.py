@@ -43,7 +43,7 @@ class _Front:
 
 
 class Frontal(AbstractCholesky):
-    """Without any extra package, and with those of the matrix's entries that elimination fills in."""
+    """Needs no extra package. The second and later factorisations find their memory in place and are the faster ones."""
 
     def __init__(self, indptr: np.ndarray, indices: np.ndarray, kept: np.ndarray | None = None):
         size = len(indptr) - 1
@@ -68,10 +68,10 @@ class Frontal(AbstractCholesky):
         early, late = np.minimum(row, column), np.maximum(row, column)
         number = np.searchsorted([front.end for front in self._fronts], early, side="right")
         ends = np.array([*(front.end for front in self._fronts), len(self._order)])
-        self._entry = np.lexsort((late, early, late >= ends[number], number))
+        piece = 2 * number + (late >= ends[number])
+        self._entry = np.lexsort((late, early, piece))
         early, late = early[self._entry], late[self._entry]
-        keys = 2 * number + (late[np.argsort(self._entry)] >= ends[number])
-        cuts = np.searchsorted(keys[self._entry], np.arange(2 * len(self._fronts) + 1))
+        cuts = np.searchsorted(piece[self._entry], np.arange(2 * len(self._fronts) + 1))
         self._entries: list[tuple[slice, np.ndarray]] = []  # of each front's two pieces: which entries, and where, column by column
         for front, a, b, c in zip(self._fronts, cuts[:-1:2], cuts[1::2], cuts[2::2], strict=True):
             self._entries.append((slice(a, b), late[a:b] - front.begin + (early[a:b] - front.begin) * front.own))
