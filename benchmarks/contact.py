@@ -26,7 +26,7 @@ from fingerjax.contact.footprint import first_contact
 from fingerjax.contact.indenter import AbstractIndenter, Bar, FlatPlate, Tilted, from_spec
 from fingerjax.contact.pad import pad
 from fingerjax.fem.body import Material, material
-from fingerjax.fem.cholesky import pardiso_available
+from fingerjax.fem.pardiso import pardiso_available
 from fingerjax.fem.solver import MultigridCG, solver_for
 from fingerjax.finger import Finger
 from fingerjax.forward.sequence import Pushed, Sequence, check, prepare

@@ -26,9 +26,9 @@ from fingerjax.contact.indenter import Sphere
 from fingerjax.contact.pad import functionals
 from fingerjax.contact.reach import Indentation, pad_for
 from fingerjax.fem.body import Body, Material, assemble_body, body, material
-from fingerjax.fem.cholesky import pardiso_available
 from fingerjax.fem.columns import Columns, columns_from_matrix
 from fingerjax.fem.operator import internal_force
+from fingerjax.fem.pardiso import pardiso_available
 from fingerjax.fem.solver import AbstractSolver, solver_for
 from fingerjax.finger import Finger
 from fingerjax.finger_keys import MeshResolution

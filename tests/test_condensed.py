@@ -8,12 +8,12 @@ import pytest
 import scipy.sparse as sp
 
 from fingerjax.fem.body import material
-from fingerjax.fem.cholesky import AbstractCholesky, Indefinite, pardiso_available
+from fingerjax.fem.cholesky import AbstractCholesky, Indefinite
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.condensed import ByColumns, ByFactor, Stiffer, first_like, probe
 from fingerjax.fem.factorised import PARTIAL_FROM
 from fingerjax.fem.frontal import Frontal
-from fingerjax.fem.pardiso import Pardiso
+from fingerjax.fem.pardiso import Pardiso, pardiso_available
 from fingerjax.fem.recovery import strain_columns
 from fingerjax.fem.solver import solver_for
 

@@ -9,7 +9,6 @@ factorisation that afterwards answers any load. MKL PARDISO does it where that i
 from __future__ import annotations
 
 import abc
-import importlib.util
 
 import numpy as np
 
@@ -43,19 +42,3 @@ class AbstractCholesky(abc.ABC):
     @abc.abstractmethod
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The unknowns (n, m) under loads (n, m), with the last matrix that was factorised."""
-
-
-def pardiso_available() -> bool:
-    """Whether the extra `direct` is installed."""
-    return importlib.util.find_spec("pypardiso") is not None
-
-
-def best() -> type[AbstractCholesky]:
-    """The fastest factorisation of those that are installed."""
-    if pardiso_available():
-        from .pardiso import Pardiso
-
-        return Pardiso
-    from .frontal import Frontal
-
-    return Frontal

@@ -12,9 +12,11 @@ from jaxtyping import Array
 from .assembly import Assembled
 from .body import Body
 from .carried import Carriage, bone_loads, carriage
-from .cholesky import AbstractCholesky, best
+from .cholesky import AbstractCholesky
 from .columns import Columns
 from .condensed import AbstractCondensed, ByFactor, Held, probe
+from .frontal import Frontal
+from .pardiso import Pardiso, pardiso_available
 from .stiffness import AbstractStiffness, Elastic
 
 CONVERGED = 1e-8  # relative residual up to which a factorisation went well
@@ -26,11 +28,11 @@ class Host:
     """The assembled pattern of one body, or of several that share elements and supports, and the last factorisation done with it; lives
     outside compiled code.
 
-    `how`: the factorisation to use.
+    `how`: the factorisation to use, PARDISO's where it is installed and nothing is said.
     """
 
     def __init__(self, body: Body, how: type[AbstractCholesky] | None = None):
-        self._how = how or best()
+        self._how = how or (Pardiso if pardiso_available() else Frontal)
         self.body, self.assembled = body, Assembled(body, upper=True)
         self.nodes = len(body.free)
         self._factor: AbstractCholesky | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 import sys
 
 import numpy as np
@@ -12,6 +13,11 @@ from .cholesky import AbstractCholesky, Indefinite
 SYMMETRIC_POSITIVE_DEFINITE = 2
 ANALYSE, FACTOR, SOLVE, RELEASE = 11, 22, 33, -1
 _INT = ctypes.c_int32
+
+
+def pardiso_available() -> bool:
+    """Whether the extra `direct` is installed."""
+    return importlib.util.find_spec("pypardiso") is not None
 
 
 class Pardiso(AbstractCholesky):

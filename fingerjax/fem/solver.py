@@ -25,7 +25,6 @@ from jaxtyping import Array, Float
 
 from .body import Body
 from .carried import bone_loads, carriage, let_go
-from .cholesky import best, pardiso_available
 from .columns import Columns
 from .condensed import AbstractCondensed, ByColumns, Held
 from .factorised import CONVERGED, Host
@@ -33,6 +32,7 @@ from .frontal import Frontal
 from .krylov import Field, Solution, conjugate_gradients
 from .multigrid import Hierarchy, hierarchy, preconditioner
 from .operator import Lame
+from .pardiso import pardiso_available
 from .stiffness import AbstractStiffness, Elastic
 
 Fields = Float[Array, "m nodes 3"]
@@ -225,7 +225,7 @@ def solver_for(body: Body, kind: str = "auto") -> AbstractSolver:
     if kind == "pardiso" and not pardiso_available():
         raise ImportError("the solver 'pardiso' needs MKL PARDISO: pip install fingerjax[direct], or choose 'factorised' or 'multigrid'")
     if kind in ("factorised", "pardiso", "frontal"):
-        return Factorised(Host(body, Frontal if kind == "frontal" else best()))
+        return Factorised(Host(body, Frontal if kind == "frontal" else None))
     if kind != "multigrid":
         raise ValueError(f"unknown solver {kind!r}; choose 'auto', 'multigrid', 'factorised', 'pardiso' or 'frontal'")
     solver, devices = MultigridCG(hierarchy(body)), tuple(jax.devices())
