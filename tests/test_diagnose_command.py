@@ -199,6 +199,14 @@ def test_wrong_input_is_one_line_that_says_what_to_write(
     assert not diagnoses.asked and not (tmp_path / "out").exists()
 
 
+def test_pardiso_is_asked_for_where_it_is_installed_only(
+    file: Path, tmp_path: Path, diagnoses: Diagnoses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(diagnose_module, "pardiso_available", lambda: False)
+    shown = call("diagnose", file, "--out", tmp_path / "out", "--solver", "pardiso")
+    assert shown.exit_code == 2 and "fingerjax[direct]" in shown.stderr and not diagnoses.asked
+
+
 def test_an_effect_that_the_study_misspells_is_refused_with_its_key(file: Path, tmp_path: Path, diagnoses: Diagnoses) -> None:
     file.write_text(STUDIES.replace("effects: all", "effects: [nail_complience]"))
     shown = call("diagnose", file, "--out", tmp_path / "out")

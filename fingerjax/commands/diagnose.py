@@ -15,6 +15,7 @@ from fingerjax.commands._ending import NOT_CONVERGED, say, told
 from fingerjax.commands._parts import Parts
 from fingerjax.commands.run import choose, data_folder, prepare, run_all
 from fingerjax.errors import InputError
+from fingerjax.fem.pardiso import pardiso_available
 from fingerjax.parameters import Parameter
 from fingerjax.report.loop_page import result as page_result
 from fingerjax.report.loop_tables import effects as effect_table
@@ -63,6 +64,9 @@ def diagnose(
     with told():
         if solver not in SOLVERS:
             raise InputError("no such solver", place="--solver", seen=solver, remedy=choose_from(solver, SOLVERS))
+        if solver == "pardiso" and not pardiso_available():
+            remedy = "pip install fingerjax[direct], or choose frontal"
+            raise InputError("MKL PARDISO is not installed", place="--solver", seen=solver, remedy=remedy)
         folder = data_folder(data)
         chosen = [_with_effects(one, effects, effects_folder) for one in _studies(file, study or [], folder)]
         prepare()
