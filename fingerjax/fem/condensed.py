@@ -1,9 +1,8 @@
 """A body at one material, reduced to its columns: what they read under each other's loads, and answers to any other load.
 
-    C = B' K^-1 B        dC f = - B' K^-1 dK u,   u = K^-1 B f
+    C = B' K^-1 B
 
-Contact needs C alone. Under the forces f that a contact ends with, only the change of C in their direction matters: one product with the
-stiffness and one more answer for each indentation and each way in which the material can move, however many columns there are.
+Contact needs C alone; how C changes with the material, under the forces that a contact ends with, is in `fem.slopes`.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import abc
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
@@ -21,9 +19,10 @@ from jaxtyping import Array, Bool, Float, Int
 from .body import Body
 from .carried import Carriage
 from .columns import Columns
-from .operator import Lame, internal_force
+from .operator import Lame
 
 Fields = Float[Array, "k nodes 3"]
+PROPORTIONAL = 1e-10  # relative difference up to which constants or forces are the same
 
 
 class Held(eqx.Module):
@@ -41,6 +40,11 @@ class AbstractCondensed(abc.ABC):
 
     held: Held
 
+    @property
+    def unscaled(self) -> tuple[AbstractCondensed, float]:
+        """The body that this one is so many times as stiff as: itself, once."""
+        return self, 1.0
+
     @abc.abstractmethod
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:
         """The displacement, mm, under each set of column forces, N."""
@@ -52,21 +56,6 @@ class AbstractCondensed(abc.ABC):
     @abc.abstractmethod
     def answer(self, loads: Fields) -> Fields:
         """The displacement, mm, under other nodal forces, N."""
-
-
-@eqx.filter_jit
-def _products(body: Body, directions: Float[Array, "d 2 layers"], u: Fields) -> Float[Array, "d k nodes 3"]:
-    return jax.lax.map(lambda lame: jax.lax.map(lambda each: internal_force(body, lame, each), u), directions)
-
-
-def slopes(condensed: AbstractCondensed, body: Body, forces: Float[Array, "k m"], directions: Float[Array, "d 2 layers"]) -> Array:
-    """How readings change with the material under given column forces: (k, d, m), for each direction of the Lame parameters."""
-    k, d = len(forces), len(directions)
-    if k * d == 0:
-        return jnp.zeros((k, d, forces.shape[1]))
-    moved = _products(body, directions, condensed.displacement(forces))
-    read = condensed.readings(moved.reshape(-1, *moved.shape[2:]))
-    return -jnp.swapaxes(jnp.asarray(read).reshape(d, k, -1), 0, 1)
 
 
 class ByColumns(AbstractCondensed):
@@ -134,6 +123,11 @@ class Stiffer(AbstractCondensed):
         constants = held.lame * times if lame is None else jnp.asarray(lame)
         self.held = eqx.tree_at(lambda part: (part.matrix, part.lame), held, (held.matrix / times, constants))
         self._condensed, self._times = condensed, times
+
+    @property
+    def unscaled(self) -> tuple[AbstractCondensed, float]:
+        body, times = self._condensed.unscaled
+        return body, times * self._times
 
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:
         return self._condensed.displacement(forces) / self._times

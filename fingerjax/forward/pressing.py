@@ -21,7 +21,8 @@ from ..contact.indentation import Contact, press
 from ..effects.added import Added
 from ..effects.records import Push
 from ..fem.body import Body
-from ..fem.condensed import AbstractCondensed, Held, slopes
+from ..fem.condensed import AbstractCondensed, Held
+from ..fem.slopes import slopes_of_all
 from .rigs import Rig
 
 NOTHING, EMPTY = Added(), MappingProxyType[str, Any]({})
@@ -54,6 +55,7 @@ class Known(eqx.Module):
 
 
 Change = Callable[[int, AbstractCondensed, Float[Array, "k m"]], Float[Array, "k d m"]]
+Changes = Callable[[list[Float[Array, "_ m"]]], list[Float[np.ndarray, "_ d m"]]]
 
 
 def settle(
@@ -66,10 +68,10 @@ def settle(
 ) -> Known:
     """Decide every contact, and find how readings move with the material under the forces that it ended with."""
 
-    def change(variant: int, held: AbstractCondensed, forces: Float[Array, "k m"]) -> Float[Array, "k d m"]:
-        return slopes(held, body, forces, directions[variant])
+    def changes(forces: list[Float[Array, "_ m"]]) -> list[Float[np.ndarray, "_ d m"]]:
+        return slopes_of_all(bodies, body, forces, directions)
 
-    return settle_with(rigs, bodies, directions, change, added, values)
+    return _settled(rigs, bodies, directions, changes, added, values)
 
 
 def settle_with(
@@ -81,15 +83,29 @@ def settle_with(
     values: Mapping[str, Any] = EMPTY,
 ) -> Known:
     """The same with any `change` of the readings (k, d, m) under given forces (k, m) on the columns of a variant's body."""
+
+    def changes(forces: list[Float[Array, "_ m"]]) -> list[Float[np.ndarray, "_ d m"]]:
+        return [np.asarray(change(variant, *pair)) for variant, pair in enumerate(zip(bodies, forces, strict=True))]
+
+    return _settled(rigs, bodies, directions, changes, added, values)
+
+
+def _settled(
+    rigs: tuple[Rig, ...],
+    bodies: list[AbstractCondensed],
+    directions: Float[Array, "variants d 2 layers"],
+    changes: Changes,
+    added: Added,
+    values: Mapping[str, Any],
+) -> Known:
     C = jnp.stack([each.held.matrix for each in bodies])
     found = [_settle(rig, C, added, dict(values)) for rig in rigs]
     slope = [np.zeros((len(forces), directions.shape[1], C.shape[1])) for _, forces in found]
-    for variant, condensed in enumerate(bodies):
-        chosen = [np.flatnonzero(np.asarray(rig.variant) == variant) for rig in rigs]
-        forces = jnp.concatenate([forces[cases] for (_, forces), cases in zip(found, chosen, strict=True)])
-        moved = np.asarray(change(variant, condensed, forces))
-        ends = np.cumsum([len(cases) for cases in chosen])[:-1]
-        for each, cases, part in zip(slope, chosen, np.split(moved, ends), strict=True):
+    chosen = [[np.flatnonzero(np.asarray(rig.variant) == variant) for rig in rigs] for variant in range(len(bodies))]
+    pushed = [jnp.concatenate([forces[cases] for (_, forces), cases in zip(found, own, strict=True)]) for own in chosen]
+    for own, moved in zip(chosen, changes(pushed), strict=True):
+        ends = np.cumsum([len(cases) for cases in own])[:-1]
+        for each, cases, part in zip(slope, own, np.split(moved, ends), strict=True):
             each[cases] = part
     settled = tuple(Settled(active, jnp.asarray(each)) for (active, _), each in zip(found, slope, strict=True))
     return Known(tuple(each.held for each in bodies), settled, directions)
