@@ -66,7 +66,7 @@ def slopes_of_all(
     found: list[np.ndarray] = [np.zeros(0)] * len(bodies)
     for members in _in_proportion(bodies, np.asarray(directions)):
         each = [np.asarray(forces[variant]) / times for variant, times, _ in members]
-        pushed, which = _distinct(np.concatenate(each))
+        pushed, which = distinct(np.concatenate(each))
         leader = members[0][0]
         moved = slopes(bodies[leader].unscaled[0], body, jnp.asarray(pushed), directions[leader])[which]
         ends = np.cumsum([len(one) for one in each])[:-1]
@@ -91,8 +91,8 @@ def _in_proportion(bodies: Sequence[AbstractCondensed], directions: Float[np.nda
         yield group
 
 
-def _distinct(rows: Float[np.ndarray, "k m"]) -> tuple[Float[np.ndarray, "u m"], Int[np.ndarray, " k"]]:
-    """Rows without repeats, and which of these each row is."""
+def distinct(rows: Float[np.ndarray, "k m"]) -> tuple[Float[np.ndarray, "u m"], Int[np.ndarray, " k"]]:
+    """Forces without repeats, and which of these each row is: one indentation is often read by several measurements."""
     kept: list[int] = []
     which = np.zeros(len(rows), int)
     for number, row in enumerate(rows):

@@ -11,12 +11,14 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..effects.added import Effects
 from ..fem.body import Body, body
 from ..fem.condensed import AbstractCondensed
 from ..fem.energy import internal_force
+from ..fem.slopes import distinct
 from ..fem.stiffness import Elastic
 from ..fem.tissue import AbstractTissue
 from .model import Assembled, Model
@@ -26,6 +28,7 @@ from .wiring import Values
 
 Field = Float[Array, "nodes 3"]
 Force = Callable[[Float[Array, "2 layers"], Field], Field]
+BLOCK = 32  # indentations whose answers are looked for at a time
 
 
 def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float[Array, "rows d"]:
@@ -34,12 +37,20 @@ def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float
     bodies = model.condensed(lames)
 
     def change(variant: int, condensed: AbstractCondensed, pushed: Float[Array, "k m"]) -> Array:
-        found = [condensed.readings(jnp.stack([force(lames[variant], u) for force in forces])) for u in condensed.displacement(pushed)]
-        return -jnp.stack(found) if found else jnp.zeros((0, len(forces), model.columns.count))
+        once, which = distinct(np.asarray(pushed))
+        if len(once) == 0:
+            return jnp.zeros((0, len(forces), model.columns.count))
+        u = condensed.displacement(jnp.asarray(once))
+        found = [condensed.readings(_forces(forces, lames[variant], u[at : at + BLOCK])) for at in range(0, len(u), BLOCK)]
+        return -jnp.concatenate(found).reshape(len(u), len(forces), -1)[which]
 
     directions = jnp.zeros((len(lames), len(forces), *lames[0].shape))
     known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
     return slopes_of(model.instruments, known, {name: jnp.asarray(value) for name, value in values.items()}, len(forces))
+
+
+def _forces(forces: Sequence[Force], lame: Float[Array, "2 layers"], u: Float[Array, "k nodes 3"]) -> Float[Array, "kd nodes 3"]:
+    return jnp.stack([force(lame, each) for each in u for force in forces])
 
 
 @eqx.filter_jit

@@ -42,7 +42,9 @@ HALVINGS = 3  # of the way from the equilibrium before, until a case is left to 
 
 
 class Ended(NamedTuple):
-    """How one case ended: iterations and factorisations in all, those of Newton's method apart, and whether a tangent was kept at last."""
+    """How one case ended: iterations and factorisations in all, those of Newton's method apart. As a start, `tangent` asks for one there:
+    where this case needed one before.
+    """
 
     rest: Resting | None
     iterations: int
@@ -52,6 +54,7 @@ class Ended(NamedTuple):
     result: RESULTS
 
 
+FARTHEST = 0.2  # of a displacement: what is expected of a change of parameters is followed so far
 UNTRIED = Ended(None, 0, 0, 0, False, RESULTS.not_converged)
 
 
@@ -59,11 +62,13 @@ UNTRIED = Ended(None, 0, 0, 0, False, RESULTS.not_converged)
 class Strained:
     """Readings of every measurement, and the equilibria behind them: for each rig and case how it ended. A warm start for the next.
 
-    Readings of a case without an equilibrium are NaN, and `prediction.converged` is then False.
+    Readings of a case without an equilibrium are NaN, and `prediction.converged` is then False. `slopes`, where they were computed: (d, 3n)
+    for each rig and case, the change of its displacement with each parameter.
     """
 
     prediction: Prediction
     cases: tuple[tuple[Ended, ...], ...]
+    slopes: tuple[tuple[Float[np.ndarray, "d _"] | None, ...], ...] | None = None
 
     @property
     def iterations(self) -> int:
@@ -72,6 +77,14 @@ class Strained:
     @property
     def factorisations(self) -> int:
         return sum(ended.factorisations for rig in self.cases for ended in rig)
+
+    def after(self, change: Float[np.ndarray, " d"]) -> Strained:
+        """Where the equilibria are expected after a change of the parameters, a start for them: to first order, and not far from here."""
+        if self.slopes is None or not np.any(change):
+            return self
+        pairs = (zip(cases, slopes, strict=True) for cases, slopes in zip(self.cases, self.slopes, strict=True))
+        moved = tuple(tuple(_moved(ended, None if slope is None else change @ slope) for ended, slope in pair) for pair in pairs)
+        return dataclasses.replace(self, cases=moved, slopes=None)
 
 
 def strained_readings(
@@ -110,6 +123,14 @@ def strained_readings(
                     if ended.rest is None:
                         return _strained(model, values, cases, quantity)
     return _strained(model, values, cases, quantity)
+
+
+def _moved(ended: Ended, by: np.ndarray | None) -> Ended:
+    if ended.rest is None or by is None:
+        return ended
+    u, length = ended.rest.displacement, float(np.linalg.norm(by))
+    share = 1.0 if length == 0.0 else min(1.0, FARTHEST * float(np.linalg.norm(u)) / length)
+    return ended._replace(rest=ended.rest._replace(displacement=u + share * by))
 
 
 def _strained(model: Model, values: Values, cases: list[list[Ended]], quantity: str) -> Strained:
@@ -166,14 +187,13 @@ def _followed(
     """The equilibria of one load path, each from the one before or from its own warm start."""
     last: Resting | None = None
     chord: Chord | None = None
-    tangent, renewed = False, 0
+    renewed = 0
     for imposed, own in zip(loads, warm, strict=True):
         begin = last
         if own is not None and own.rest is not None:
             begin = own.rest
-            if own.tangent and not tangent:
+            if own.tangent:
                 chord, renewed = tangent_chord(tissue, place, begin.displacement), 1
-                tangent = chord is not None
         chord = linear() if chord is None else chord
         if chord is None:
             yield UNTRIED
@@ -184,9 +204,8 @@ def _followed(
             from_ = begin.displacement, begin.contact.active
         ended, chord = _found(tissue, place, chord, imposed, from_, last, chording)
         last = last if ended.rest is None else ended.rest
-        tangent = tangent or ended.factorisations > 0
-        yield ended._replace(factorisations=ended.factorisations + renewed, tangent=tangent)
-        renewed = 0
+        spent, renewed = ended.factorisations + renewed, 0
+        yield ended._replace(factorisations=spent, tangent=spent > 0)
 
 
 def _found(

@@ -10,6 +10,7 @@ of each equilibrium, in the moduli too.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -92,8 +93,14 @@ def strained_jacobian(model: Model, of: Of, at: Vector, found: Strained) -> Floa
     `of` makes the values and the law from one vector, so that its parameters may be raw or natural, a law's or an afferent's; `at` is the
     one of `found`. NaN where a case has no equilibrium.
     """
+    return strained_slopes(model, of, at, found)[0]
+
+
+def strained_slopes(model: Model, of: Of, at: Vector, found: Strained) -> tuple[Float[Array, "rows d"], Strained]:
+    """The same, and `found` with the slopes of its displacements, from where the equilibria of neighbouring parameters can be expected."""
     values, law = of(at)
     slopes = [np.full((len(rig.pose), len(at), model.columns.count + 2), np.nan) for rig in model.instruments.rigs]
+    moved: list[list[np.ndarray | None]] = [[None] * len(rig.pose) for rig in model.instruments.rigs]
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
     for number, rig in enumerate(model.instruments.rigs):
         for first, twins in _of_one_shape(rig, tissues).items():
@@ -103,9 +110,11 @@ def strained_jacobian(model: Model, of: Of, at: Vector, found: Strained) -> Floa
             for case, times in twins:
                 own = found.cases[number][case].rest
                 if chord is not None and own is not None:
-                    slopes[number][case] = _case_slopes(model, chord.stiffer(times), place, rig, case, own, of, at)
+                    own_chord = chord.stiffer(times)
+                    slopes[number][case], moved[number][case] = _case_slopes(model, own_chord, place, rig, case, own, of, at)
     contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
-    return _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
+    rows = _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
+    return rows, dataclasses.replace(found, slopes=tuple(map(tuple, moved)))
 
 
 def _of_one_shape(rig: Rig, tissues: Sequence[Tissue]) -> dict[int, list[tuple[int, float]]]:
@@ -122,26 +131,30 @@ def _of_one_shape(rig: Rig, tissues: Sequence[Tissue]) -> dict[int, list[tuple[i
 
 def _case_slopes(
     model: Model, chord: Chord, place: Place, rig: Rig, case: int, rest: Resting, of: Of, at: Vector
-) -> Float[np.ndarray, "d m_2"]:
-    """Change of every column's reading, then of the force and of the travel, with each parameter."""
+) -> tuple[Float[np.ndarray, "d m_2"], Float[np.ndarray, "d _"]]:
+    """Change of every column's reading, then of the force and of the travel, with each parameter; and of the displacement (d, 3n)."""
     variant, nodes = int(rig.variant[case]), model.columns.nodes
-    u = jnp.asarray(rest.displacement).reshape(nodes, 3)
-    force, push = _forces(model, of, at, variant, u)
-    moved = chord.condensed.answer(-push)
-    free = place.matrix.T @ (rest.displacement - chord(np.asarray(force).ravel()))
+    force, push = _forces(model, of, at, variant, jnp.asarray(rest.displacement).reshape(nodes, 3))
+    felt = np.flatnonzero(np.abs(np.asarray(push)).max(axis=(1, 2), initial=0.0))  # not those of other subjects
+    answers = chord.condensed.answer(jnp.concatenate([-push[felt], force[None]]))
+    free = place.matrix.T @ (rest.displacement - np.asarray(answers[-1]).ravel())
     travel, pressed = imposed_on(model, of(at)[0], rig, case)
     change, travels = contact_slopes(
         chord.compliance,
         place.interface,
         jnp.asarray(free),
-        place.columns.read(moved),
+        place.columns.read(answers[:-1]),
         None if travel is None else jnp.asarray(travel),
         None if pressed is None else jnp.asarray(pressed),
     )
     load = (place.matrix @ np.asarray(change).T).T
     more = chord.condensed.answer(jnp.asarray(load).reshape(-1, nodes, 3))
-    read = (model.columns.matrix().T @ np.asarray(moved + more).reshape(len(load), -1).T).T
-    return np.column_stack([read, load[:, 1::3].sum(axis=1), np.asarray(travels)])
+    moved = np.zeros((len(at), 3 * nodes))
+    moved[felt] = np.asarray(answers[:-1] + more).reshape(len(felt), -1)
+    found = np.zeros((len(at), model.columns.count + 2))
+    found[felt, :-2] = (model.columns.matrix().T @ moved[felt].T).T
+    found[felt, -2], found[felt, -1] = load[:, 1::3].sum(axis=1), np.asarray(travels)
+    return found, moved
 
 
 @eqx.filter_jit

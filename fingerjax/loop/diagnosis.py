@@ -31,7 +31,7 @@ from .sample import Sample
 from .score import Ranking, rank
 from .separate import Rival, next_experiments
 from .subject import NONE, AbstractSubject, Family
-from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide
+from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, with_nearest
 from .writing import written
 
 ASTRAY = math.log(3.0)  # of the logarithm of a modulus: farther from where the study began a fit may imitate what is missing
@@ -83,6 +83,7 @@ def investigate(
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)
     inquiry.tell = _part(tell, 0.7, 0.1)
     closest = nearest(inquiry, [*singles, *pairs]) if verdict.kind == UNEXPLAINED else None
+    verdict = with_nearest(verdict, closest)
     tell(0.8, "what to measure next")
     after = next_experiments(best, _rivals(base, verdict, singles), columns) if best.settled else []
     alarms, grown = _checked(base, families, columns, noise, mesh, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 
-from .descent import Place, descend, movable
+from .descent import EDGE, Place, descend, movable
 from .sample import Sample
 from .subject import Column, Evaluation
 from .whitening import Projection
@@ -29,7 +29,6 @@ LEVEL = 1e-6  # largest cosine between the residual and a free column at an opti
 NEAR, NEARER = 0.1, 0.05
 EVALUATIONS = 60  # of one search
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
-EDGE = 0.5  # standard errors that may seem to be left to gain on an edge
 ALONG, BROKEN = (1.0, 0.3, 0.1), 0.1  # parts of a step of which none brings more than this share of what it promises
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
 AT_BOUND = 5e-3  # share of the plausible range from its end within which an effect is at its bound
@@ -207,7 +206,7 @@ def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
     if points.columns:
         return near
     found = least_squares(
-        points.residual, near, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-9, xtol=1e-9, gtol=None,
+        points.residual, near, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-8, xtol=1e-8, gtol=None,
         max_nfev=EVALUATIONS,
     )  # fmt: skip
     return _polished(points, found.x)

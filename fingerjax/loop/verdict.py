@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .adequacy import Look
 from .explanations import Explanation, main
@@ -53,6 +53,15 @@ def decide(
     share = members[0].eta if members else 0.0
     text = " ".join(part for part in (_text(kind, members, noise, mesh, base, singles), _said_of(absorbed, kind)) if part)
     return Verdict(kind, members, share, min(last.omnibus_p, last.smooth_p, last.largest_p), absorbed, text)
+
+
+def with_nearest(verdict: Verdict, nearest: Explanation | None) -> Verdict:
+    """Where nothing is named: how near the catalogue comes, and with what."""
+    if nearest is None or len(nearest.families) < 2:
+        return verdict
+    comes = f"The catalogue comes nearest with {' and '.join(nearest.families)} ({sizes(nearest)})"
+    how_far = f"which remove {min(nearest.eta, 1.0):.1%} of the misfit beyond the noise. That does not make them the missing effects."
+    return replace(verdict, text=f"{verdict.text} {comes}, {how_far}")
 
 
 def _judge(
@@ -118,8 +127,8 @@ def _untested(base: Look) -> str:
 
 def _unexplained(base: Look, singles: list[Explanation]) -> str:
     excess = base.adequacy.misfit / max(base.adequacy.df, 1.0)
-    nearest = next((one for one in singles if one.best.settled), None)
-    why = f" The nearest, {nearest.name}, {nearest.reason}." if nearest is not None and nearest.reason else ""
+    first = next((one for one in singles if one.best.settled), None)
+    why = f" Of single effects {first.name} removes most, but it {first.reason}." if first is not None and first.reason else ""
     return (
         f"The model misses something (misfit {excess:.1f} times the noise) that no effect of the catalogue explains.{why} "
         "The fitted values hold only for this model, which these data contradict."

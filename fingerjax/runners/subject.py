@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..contact.chord import Chording
 from ..effects import Effect
 from ..effects.added import Effects
 from ..errors import InputError
@@ -26,7 +27,7 @@ from ..forward.model import Assembled, assemble, lay_out
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..forward.strained import Strained, strained_readings
-from ..forward.strained_slopes import strained_jacobian
+from ..forward.strained_slopes import strained_slopes
 from ..loop.subject import AbstractSubject, Evaluation, LogPrior
 from ..parameters import Parameter
 from ..study import Prior
@@ -38,6 +39,7 @@ Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm about where the study begins: a factor of ten is two of them
 KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
+SEARCHED = Chording(tolerance=1e-6)  # far below what any noise or mesh leaves
 ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
 
 
@@ -64,7 +66,7 @@ class FingerSubject(AbstractSubject):
         self._fine: Assembled | None = None
         self._rough: Assembled | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
-        self._last: dict[bool, Strained] = {}
+        self._last: dict[bool, tuple[Strained, dict[str, float]]] = {}
         self._solvers: dict[tuple[int, bytes], AbstractSolver] = {}
 
     def evaluate(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
@@ -247,18 +249,40 @@ class FingerSubject(AbstractSubject):
         if on is None or linear is None:
             return None
         try:
-            found = strained_readings(on.model, self._values(raw, amounts), law, start=self._last.get(finely))
+            found = strained_readings(on.model, self._values(raw, amounts), law, start=self._start(raw, amounts, finely), chording=SEARCHED)
         except ValueError:
             return None
         if not bool(found.prediction.health.converged):
             return None
-        self._last[finely] = found
+        self._last[finely] = found, self._numbered(raw, amounts)
         return np.concatenate([np.asarray(each) for each in found.prediction.readings]) - linear, found, on
 
-    def _rough_model(self, amounts: Amounts) -> Assembled:
+    def _numbered(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> dict[str, float]:
+        """Raw parameters and numbers of laws by name."""
+        own = {
+            f"{name}.{number}": float(value)
+            for name, each in amounts.items()
+            if self.effects[name].is_law
+            for number, value in each.items()
+        }
+        return {one.name: float(value) for one, value in zip(self.parameters, raw, strict=True)} | own
+
+    def _start(self, raw: Float[np.ndarray, " p"], amounts: Amounts, finely: bool) -> Strained | None:
+        """Where equilibria are expected: from where the last ones were, along their slopes where these are known."""
+        if finely not in self._last:
+            return None
+        found, there = self._last[finely]
+        here = self._numbered(raw, amounts)
+        return found.after(np.array([here.get(name, value) - value for name, value in there.items()]))
+
+    def _rough_model(self, amounts: Amounts) -> Assembled | None:
+        """The mesh on which laws are followed, or that of the linear model where this is no larger."""
         if self._rough is None:
             rough = assemble(self.study, solver=self.solver, size=ROUGH * self.size, focused=False)
-            self._rough = _with(rough, Effects(self.compiled), self.solver)
+            coarser = len(rough.mesh.nodes) < len(self.base.mesh.nodes)
+            self._rough = _with(rough, Effects(self.compiled), self.solver) if coarser else self.base
+        if self._rough is self.base:
+            return self._model(amounts)
         made = [pair for pair in self._made_of(amounts) if not pair[0].is_law]
         return self._changed(self._rough, Effects(self.compiled, tuple(made))) if made else self._rough
 
@@ -274,14 +298,25 @@ class FingerSubject(AbstractSubject):
         own = {name: jax.tree.map(jnp.asarray, numbers) for name, numbers in amounts.items() if self.effects[name].is_law}
         moved = tuple((self._ways[key].family, self._ways[key].name) for key in laws)
         of = Lawful(tuple(self.parameters), tuple(self.effects[name] for name in own), moved, self._values(raw, amounts), own)
-        slopes = np.asarray(strained_jacobian(rough.model, of, jnp.asarray([*raw, *(phi[key] for key in laws)]), found))
-        there = self._linearised(rough, raw, amounts, ())
-        if there is None:
+        rows, sloped = strained_slopes(rough.model, of, jnp.asarray([*raw, *(phi[key] for key in laws)]), found)
+        slopes, numbers = np.asarray(rows), self._last[False][1]
+        self._last[False] = sloped, {name: numbers[name] for name in [*(one.name for one in self.parameters), *map(".".join, moved)]}
+        linear_slopes = self._linear_slopes(rough, raw, amounts, linear)
+        if linear_slopes is None:
             return self._failed(len(raw), len(moving))
         others = {key: own + self._beyond_slope(raw, phi, key, added) for key, own in zip(rest, linear.phi_jacobian.T, strict=True)}
         columns = [slopes[:, len(raw) + laws.index(key)] if key in laws else others[key] for key in moving]
-        theta = linear.theta_jacobian + slopes[:, : len(raw)] - there[1]
+        theta = linear.theta_jacobian + slopes[:, : len(raw)] - linear_slopes
         return Evaluation(linear.prediction + added, theta, np.stack(columns, axis=1) if columns else np.zeros((len(added), 0)))
+
+    def _linear_slopes(
+        self, rough: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts, linear: Evaluation
+    ) -> Float[np.ndarray, "rows p"] | None:
+        """Those of the linear model on the mesh on which laws are followed, in the raw parameters."""
+        if rough is self._model(amounts):
+            return linear.theta_jacobian
+        found = self._linearised(rough, raw, amounts, ())
+        return None if found is None else found[1]
 
     def _beyond_slope(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         """How what a law adds changes with another effect."""

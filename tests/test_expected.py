@@ -1,0 +1,70 @@
+"""Where equilibria are expected after a small change of the parameters: their displacements follow their slopes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fingerjax.contact.chord import Chording
+from fingerjax.fem.tissue import Exponential, FiniteStrain
+from fingerjax.forward import Assembled
+from fingerjax.forward.strained import FARTHEST, Strained, strained_readings
+from fingerjax.forward.strained_slopes import strained_jacobian, strained_slopes
+
+from .test_bodies import cylinder
+
+HERE, CHANGE = jnp.array([0.07, 0.6, 2.0]), np.array([0.002, 0.05, 0.3])
+TIGHT = Chording(tolerance=1e-10)
+
+
+def of(at):
+    """Modulus, MPa, homotopy and stiffening."""
+    return {"epidermis.modulus": at[0]}, Exponential(FiniteStrain(at[1]), jnp.full(5, at[2]))
+
+
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory: pytest.TempPathFactory) -> Assembled:
+    return cylinder(tmp_path_factory.mktemp("cylinder"), "held", "held", pad=8.0)
+
+
+@pytest.fixture(scope="module")
+def known(ready: Assembled) -> Strained:
+    return strained_slopes(ready.model, of, HERE, strained_readings(ready.model, *of(HERE), chording=TIGHT))[1]
+
+
+def there(ready: Assembled, change: np.ndarray, start: Strained | None = None) -> Strained:
+    return strained_readings(ready.model, *of(HERE + change), start=start, chording=TIGHT)
+
+
+def displacements(found: Strained) -> np.ndarray:
+    return np.stack([ended.rest.displacement for rig in found.cases for ended in rig])
+
+
+def test_slopes_of_displacements_are_differences(ready: Assembled, known: Strained) -> None:
+    for number, step in enumerate(1e-3 * np.diag(CHANGE)):
+        up, down = (displacements(there(ready, sign * step, known)) for sign in (1, -1))
+        expected = (up - down) / (2 * step[number])
+        slopes = np.stack([slope[number] for rig in known.slopes for slope in rig])
+        np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-5 * np.abs(expected).max() + 1e-9)
+
+
+def test_an_expected_start_saves_iterations_and_changes_nothing(ready: Assembled, known: Strained) -> None:
+    expected, plain, cold = (there(ready, CHANGE, start) for start in (known.after(CHANGE), known, None))
+    assert expected.iterations < plain.iterations <= cold.iterations
+    for found in (expected, plain):
+        np.testing.assert_allclose(found.prediction.readings[0], cold.prediction.readings[0], rtol=1e-8)
+
+
+def test_what_is_expected_is_not_far_and_nothing_moves_without_a_change(known: Strained) -> None:
+    assert known.after(np.zeros(3)) is known
+    far, here = displacements(known.after(1e3 * CHANGE)), displacements(known)
+    np.testing.assert_allclose(np.linalg.norm(far - here, axis=1), FARTHEST * np.linalg.norm(here, axis=1), rtol=1e-9)
+
+
+def test_both_ways_of_asking_for_slopes_agree(ready: Assembled, known: Strained) -> None:
+    rows, again = strained_slopes(ready.model, of, HERE, known)
+    np.testing.assert_array_equal(rows, strained_jacobian(ready.model, of, HERE, known))
+    assert again.cases is known.cases
