@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from fingerjax.loop.descent import Place, descend, learned
 
 FAR = np.array([-5.0, -5.0]), np.array([5.0, 5.0])
+FAR_ONE = np.array([-5.0]), np.array([5.0])
 NEAR = 6e-3  # standard errors; those of this curve are some 27 times the noise
 T = np.linspace(0.0, 3.0, 25)
 
@@ -73,3 +74,15 @@ def test_a_valley_that_bends_is_followed() -> None:
         residual, lambda x: np.array([[-200.0 * x[0], 100.0], [-1.0, 0.0]]), np.array([-1.2, 1.0]), *FAR, 1e-6
     )  # fmt: skip
     assert reached and found == pytest.approx([1.0, 1.0], abs=1e-6) and count[0] < 40
+
+
+def test_an_edge_to_which_both_slopes_lead_ends_the_search_soon() -> None:
+    """Far from the data, 2 + 3 |x| is least at 0, where no slope vanishes: steps promise what neither side holds."""
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        count[0] += 1
+        return np.array([*np.full(100, 10.0), 2.0 + 3.0 * abs(x[0])])
+
+    count = [0]
+    found, reached = descend(residual, lambda x: np.array([*np.zeros(100), 3.0 * np.sign(x[0])])[:, None], np.array([0.7]), *FAR_ONE, 1e-3)
+    assert not reached and abs(found[0]) < 0.1 and count[0] < 25  # a standard error is 0.33, or more where all else is as far off

@@ -27,7 +27,7 @@ BENT, SHARP = 0.75, 1.5  # gain below which the bend is looked at, and its size 
 PROBE = 0.1  # of a step, where the model has no answer at its end
 # Where the residual is so many times the noise, a search whose last steps brought so little of what was promised is given up.
 FAR, CRAWL, PATIENCE = 2.0, 1e-3, 5
-EDGE, TWICE = 0.5, 2  # standard errors that an edge may promise in vain, so many times in turn, until a search ends there
+EDGE, OFTEN = 0.5, 6  # standard errors that steps may promise in vain, and how often, until a search ends: it is on an edge
 STUCK = 1e-7  # share of the sum of squares that says of two steps in turn that there is no getting on
 LEAST = 1e-3  # share of the Gauss-Newton curvature that is kept in every direction, whatever S says
 
@@ -82,7 +82,7 @@ def descend(
         if promised < near * here.typical:
             return here.x, True
         hopeless = hopeless + 1 if here.squares - promised**2 > enough else 0
-        if slow == PATIENCE or stuck == 2 or hopeless == PATIENCE or vain == TWICE:
+        if slow == PATIENCE or stuck == 2 or hopeless == PATIENCE or vain == OFTEN:
             break
         believed = turning if trusted else np.zeros_like(turning)
         step = _step(here, believed, damping, lower, upper)
@@ -94,7 +94,7 @@ def descend(
             beyond = residual(other)
             if np.isfinite(beyond).all() and not beyond @ beyond >= min(here.squares, moved @ moved if gain >= 0 else np.inf):
                 after, moved, gain = other, beyond, max(_gain(here, step, believed, beyond), 0.0)
-        vain = vain + 1 if gain < POOR and promised < EDGE * here.typical else 0
+        vain += gain < POOR and promised < EDGE * here.typical
         damping = _damping(damping, gain)
         crawls = min(float(moved @ moved), here.squares) > (1 - CRAWL) * here.squares and promised**2 > CRAWL * here.squares
         slow = slow + 1 if crawls and here.typical > FAR else 0

@@ -46,7 +46,8 @@ Tell = Callable[[float, str], object]
 class Explanation:
     """One or two families, refitted.
 
-    - `families`, `look`: who, and what is left with them. `delta`: RSS_0 - RSS_k. `eta`: share of the excess misfit that is gone.
+    - `families`, `look`: who, and what is left with them. `delta`: RSS_0 - RSS_k.
+    - `eta`: share of the excess misfit that is gone, 0 where there was none.
     - `drops`: family -> rise of RSS without it. `veto`: rise of chi-square on held-out conditions. `needed`: what each drop must exceed.
     """
 
@@ -169,8 +170,8 @@ class Inquiry:
             return Explanation(families, self._blank(best), math.nan, math.nan, nothing, math.nan, self.needed)
         seen = look(best, others, alpha=self.alpha, seed=self.seed)
         base = self.base.adequacy
-        excess = max(base.misfit - base.df, 1e-300)
-        eta = 1.0 - (seen.adequacy.misfit - seen.adequacy.df) / excess
+        excess = base.misfit - base.df
+        eta = 1.0 - (seen.adequacy.misfit - seen.adequacy.df) / excess if excess > 0 else 0.0
         drops = {family: rss - best.rss for family, rss in without.items()}
         worse = heldout.veto(self.base.best, best, self.held)
         return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, self.needed)
