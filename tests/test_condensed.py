@@ -102,3 +102,13 @@ def test_a_matrix_that_is_not_positive_definite_is_refused(how: type[AbstractCho
     factor = how(upper.indptr, upper.indices)
     with pytest.raises(Indefinite, match="not positive definite"):
         factor.factor(upper.data)
+
+
+def test_the_last_few_bodies_are_kept_and_still_answer(body):
+    columns, solver = columns_of(body, 9), solver_for(body, "factorised")
+    one, other = (solver.condense(body, times * SKIN.lame(), columns) for times in (1.0, jnp.asarray([[2.0], [1.5]])))
+    assert solver.condense(body, SKIN.lame(), columns) is one
+    forces = jnp.asarray(np.random.default_rng(0).normal(size=(2, columns.count)))
+    for each in (one, other, one):
+        read = columns.read(each.displacement(forces))
+        np.testing.assert_allclose(read, forces @ each.held.matrix, atol=1e-9 * float(jnp.abs(read).max()))

@@ -191,6 +191,14 @@ def test_an_effect_that_must_run_out_of_what_is_plausible_is_not_named() -> None
     assert "plausible" in refit(found, "contact_offset").reason
 
 
+def test_where_nothing_is_named_it_is_said_how_near_the_catalogue_comes() -> None:
+    found = verdict(truth={"contact_offset.offset": 0.06, "relaxation.share@tau_s=1": 0.15}, outside=_callus)
+    assert found.verdict.kind == "unexplained" and not found.explanations and found.nearest is not None
+    assert {"contact_offset", "relaxation"} <= set(found.nearest.families)
+    assert f"nearest with {' and '.join(found.nearest.families)} (" in found.verdict.text
+    assert f"remove {found.nearest.share_explained:.1%} of the misfit" in found.verdict.text
+
+
 def test_names_permuted_permute_the_answer() -> None:
     plain = verdict(truth={"contact_offset.offset": 0.04})
     turned = diagnose(_Renamed(truth={"contact_offset.offset": 0.04}), sets=0)

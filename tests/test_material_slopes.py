@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from fingerjax.fem.body import LAYERS, material, reinforced
 from fingerjax.fem.columns import columns_from_matrix
-from fingerjax.fem.condensed import AbstractCondensed, Stiffer
+from fingerjax.fem.condensed import AbstractCondensed, Stiffer, first_like
 from fingerjax.fem.operator import internal_force
 from fingerjax.fem.slopes import slopes, slopes_of_all
 from fingerjax.fem.solver import solver_for
@@ -87,6 +87,17 @@ def test_springs_that_stay_leave_no_direction_known(body, columns):
     expected = one_by_one(counting._condensed, sprung, forces, ways(4))
     np.testing.assert_allclose(slopes(counting, sprung, forces, ways(4)), expected, rtol=0, atol=1e-9 * np.abs(expected).max())
     assert counting.asked == 2 + 2 * 4
+
+
+def test_springs_that_follow_the_moduli_leave_bodies_in_proportion(body):
+    stays = springs(sp.diags(np.full(3 * len(body.free), 1e-4)).tocoo())
+    follows = springs(sp.diags(np.full(3 * len(body.free), 1e-2)).tocoo(), layer=1)
+    for held, like in [(reinforced(body, stays), (1, 1.0)), (reinforced(body, follows), (0, 3.0))]:
+        assert first_like(held, [LAME, 3.0 * LAME], 1) == pytest.approx(like)
+    columns = columns_from_matrix(sp.csc_matrix(([1.0], ([1], [0])), shape=(3 * len(body.free), 1)))
+    solver = solver_for(reinforced(body, follows), "factorised")
+    one, three = (solver.condense(reinforced(body, follows), times * LAME, columns).held.matrix for times in (1, 3))
+    np.testing.assert_allclose(three, one / 3, rtol=1e-9)
 
 
 def test_slopes_agree_with_differences(body, columns, condensed):

@@ -142,9 +142,10 @@ class Stiffer(AbstractCondensed):
 def first_like(body: Body, lames: Sequence[Lame], variant: int) -> tuple[int, float]:
     """The first of some materials whose constants are all in proportion to those of a variant, and how many times stiffer the variant is.
 
-    Under a given travel both take one shape. The variant itself where none is, or where springs that do not change hold the body too.
+    Under a given travel both take one shape. The variant itself where none is, or where springs that do not follow the moduli hold the body
+    too.
     """
-    if body.springs is not None:
+    if body.springs is not None and body.springs.stay:
         return variant, 1.0
     layers = np.unique(np.asarray(body.layer))
     sizes = [np.asarray(lame, float)[:, layers].ravel() for lame in lames[: variant + 1]]

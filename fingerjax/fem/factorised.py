@@ -21,6 +21,7 @@ from .stiffness import AbstractStiffness, Elastic
 
 CONVERGED = 1e-8  # relative residual up to which a factorisation went well
 PARTIAL_FROM = 64  # columns from which on the skin is condensed in the factorisation itself
+REMEMBERED = 6  # condensed bodies of one pattern: subjects, say
 PROBES = 8  # random combinations of all loads in which a factorisation's residual is measured
 
 
@@ -39,14 +40,18 @@ class Host:
         self._kept = np.zeros(len(self.assembled.free), bool)
         self._stiffness: AbstractStiffness | None = None
         self._K = sp.csr_matrix((0, 0))
-        self._last: tuple[Array, AbstractStiffness, AbstractCondensed] | None = None
+        self._last: list[tuple[Array, Elastic, AbstractCondensed]] = []
 
     def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
-        """The body behind its columns; that of the last stiffness is kept, for fits that move something else."""
-        if self._last is None or self._last[0] is not columns.weight or not _same(self._last[1], stiffness):
-            self._last = None
-            self._last = (columns.weight, stiffness, self._condensed(stiffness, columns))
-        return self._last[2]
+        """The body behind its columns; the last few linear ones are kept, for fits that move something else."""
+        for weight, other, found in self._last:
+            if weight is columns.weight and _same(other, stiffness):
+                return found
+        if not isinstance(stiffness, Elastic):
+            return self._condensed(stiffness, columns)
+        self._last = self._last[1 - REMEMBERED :]
+        self._last.append((columns.weight, stiffness, self._condensed(stiffness, columns)))
+        return self._last[-1][2]
 
     def _condensed(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         matrix, modes = columns.matrix(), len(self.body.modes)

@@ -48,12 +48,13 @@ def slopes(
 def _towards_all(body: Body, lame: Lame, directions: Float[Array, "d 2 layers"]) -> tuple[Float[np.ndarray, "d d"], float | None]:
     """A rotation of the directions after which the first is `times` short of all Lame parameters together; None where none can be.
 
-    Springs that stay hold the body too: then the load is not all due to these.
+    Springs that do not follow the moduli hold the body too: then the load is not all due to these.
     """
     d, layers = len(directions), np.unique(np.asarray(body.layer))
     ways, whole = np.asarray(directions)[:, :, layers].reshape(d, -1), np.asarray(lame)[:, layers].ravel()
     share = np.linalg.lstsq(ways.T, whole, rcond=None)[0]
-    if body.springs is not None or np.linalg.norm(share @ ways - whole) > PROPORTIONAL * np.linalg.norm(whole):
+    held = body.springs is not None and body.springs.stay
+    if held or np.linalg.norm(share @ ways - whole) > PROPORTIONAL * np.linalg.norm(whole):
         return np.eye(d), None
     turn = np.linalg.qr(np.column_stack([share, np.eye(d)]))[0].T
     return turn, float(turn[0] @ share)

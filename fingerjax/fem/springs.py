@@ -23,6 +23,11 @@ class Springs(eqx.Module):
     value: Float[Array, " m"]
     layer: Int[Array, " m"]
 
+    @property
+    def stay(self) -> bool:
+        """Whether some of them do not follow the moduli. Outside of compiled code."""
+        return bool(np.any(np.asarray(self.layer) < 0))
+
     def at(self, lame: Float[Array, "2 layers"], *, fixed: bool = True) -> Float[Array, " m"]:
         """N/mm at these moduli; without `fixed`, only what follows the moduli."""
         return self.value * jnp.where(self.layer < 0, 1.0 if fixed else 0.0, jnp.asarray(lame)[1][self.layer])

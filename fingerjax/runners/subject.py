@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,14 +14,11 @@ from jaxtyping import Array, Float
 
 from ..contact.chord import Chording
 from ..effects import Effect
-from ..effects.added import Effects
 from ..errors import InputError
-from ..fem.body import Body
 from ..fem.cholesky import Indefinite
-from ..fem.solver import AbstractSolver, solver_for
 from ..fem.tissue import Linear
-from ..forward.inner import Force, between, inner_slopes, model_body, of_law
-from ..forward.model import Assembled, assemble, lay_out
+from ..forward.inner import Force, between, inner_slopes, of_law
+from ..forward.model import Assembled
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..forward.strained import Strained, strained_readings
@@ -34,13 +29,11 @@ from ..study import Prior
 from .families import agree, family
 from .lawful import Lawful
 from .rows import rows_of
+from .variants import Amounts, Variants
 
-Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm about where the study begins: a factor of ten is two of them
-KEPT = 3  # models with an effect in them that are held at a time
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 SEARCHED = Chording(tolerance=1e-6)  # far below what any noise or mesh leaves
-ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
 
 
 class FingerSubject(AbstractSubject):
@@ -53,28 +46,28 @@ class FingerSubject(AbstractSubject):
         self.study, self.solver, self.size, self.tell = study, solver, size, tell
         self.absent = {effect.name: why for effect in effects if (why := effect.absent(study.measurements) or effect.lacking(ready.mesh))}
         self.effects = {effect.name: effect for effect in effects if effect.name not in self.absent}
-        self.compiled = tuple(effect for effect in self.effects.values() if effect.traced)
         self.name, self.kind = study.name, "measured"
-        base = _with(ready, Effects(self.compiled))
-        self.base = base
-        self.parameters = base.problem().parameters
-        self.priors = _priors(base, self.parameters)
+        self._variants = Variants(ready, self.effects, solver, size)
+        self.parameters = self.base.problem().parameters
+        self.priors = _priors(self.base, self.parameters)
         self.rows = rows_of(study)
         self.families = tuple(family(effect) for effect in self.effects.values())
         self._ways = {column.key: column for family in self.families for column in (*family.columns, *family.second)}
-        self._made: OrderedDict[str, Assembled | None] = OrderedDict()
         self._fine: Assembled | None = None
-        self._rough: Assembled | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
         self._last: dict[bool, tuple[Strained, dict[str, float]]] = {}
-        self._solvers: dict[tuple[int, bytes], AbstractSolver] = {}
+
+    @property
+    def base(self) -> Assembled:
+        """The model without any effect awake."""
+        return self._variants.base
 
     def evaluate(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
         amounts = self._amounts(phi)
         inside, outside = ([key for key in moving if self._is_compiled(key) is here] for here in (True, False))
         if self._strained(amounts):
             return self._with_law(raw, phi, moving)
-        found = self._linearised(self._model(amounts), raw, amounts, tuple(inside))
+        found = self._linearised(self._variants.of(amounts), raw, amounts, tuple(inside))
         if found is None:
             return self._failed(len(raw), len(moving))
         value, slopes = found
@@ -100,7 +93,9 @@ class FingerSubject(AbstractSubject):
         found: dict[str, np.ndarray] = {}
         smooth = [key for key, way in self._ways.items() if way.step is None and self._is_compiled(key)]
         for keys in self._together(smooth):
-            linear = self._linearised(self._model(amounts), raw, self._amounts(phi | dict.fromkeys(keys, 0.0), at_null=True), tuple(keys))
+            linear = self._linearised(
+                self._variants.of(amounts), raw, self._amounts(phi | dict.fromkeys(keys, 0.0), at_null=True), tuple(keys)
+            )
             if linear is not None:
                 found |= dict(zip(keys, linear[1][:, len(raw) :].T, strict=True))
         tangent_laws = [key for key, way in self._ways.items() if self._is_law(key) and way.step is None]
@@ -115,9 +110,8 @@ class FingerSubject(AbstractSubject):
         if self._fine is None:
             return None
         amounts = self._amounts({key: value for key, value in phi.items() if not self._is_law(key)})
-        made = Effects(self.compiled, self._made_of(amounts))
         try:
-            fine = self._value_of(self._changed(self._fine, made), raw, amounts)
+            fine = self._value_of(self._variants.on(self._fine, amounts), raw, amounts)
         except ValueError:  # an element turns over
             return None
         if fine is None or not self._strained(self._amounts(phi)):
@@ -150,13 +144,6 @@ class FingerSubject(AbstractSubject):
             found.setdefault(way.family, {}).update({way.name: float(number), **way.fixed})
         return {name: self.effects[name].null() | numbers for name, numbers in found.items()}
 
-    def _effects(self, amounts: Amounts) -> Effects:
-        return Effects(self.compiled, self._made_of(amounts))
-
-    def _made_of(self, amounts: Amounts) -> tuple[tuple[Effect, dict[str, float]], ...]:
-        """Effects that make another model, with their amounts."""
-        return tuple((self.effects[name], numbers) for name, numbers in amounts.items() if not self.effects[name].traced)
-
     def _is_law(self, key: str) -> bool:
         return self.effects[self._ways[key].family].is_law
 
@@ -164,40 +151,14 @@ class FingerSubject(AbstractSubject):
         """Whether the tissue follows another law than Hooke's."""
         return any(self.effects[name].is_law and numbers != self.effects[name].null() for name, numbers in amounts.items())
 
-    def _model(self, amounts: Amounts) -> Assembled | None:
-        """The study's model with these amounts of the effects that change it; None where they cannot be."""
-        made = {name: numbers for name, numbers in amounts.items() if not self.effects[name].traced and not self.effects[name].is_law}
-        made = {name: numbers for name, numbers in made.items() if numbers != self.effects[name].null()}
-        if not made:
-            return self.base
-        key = repr(sorted((name, sorted(numbers.items())) for name, numbers in made.items()))
-        if key not in self._made:
-            while len(self._made) >= KEPT:
-                self._made.popitem(last=False)
-            try:
-                self._made[key] = self._changed(self.base, self._effects(made))
-            except ValueError:
-                self._made[key] = None
-        self._made.move_to_end(key)
-        return self._made[key]
-
-    def _changed(self, ready: Assembled, effects: Effects) -> Assembled:
-        """A model with effects in it, and the solver of one that has the same nodes free where there was one."""
-        made = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, ready.model.solver, effects)
-        free = np.asarray(made.model.body.free)
-        if np.array_equal(free, np.asarray(ready.model.body.free)):
-            return made
-        key = (len(free), free.tobytes())
-        if key not in self._solvers:
-            self._solvers = {key: solver_for(made.model.body, self.solver)}
-        return dataclasses.replace(made, model=dataclasses.replace(made.model, solver=self._solvers[key]))
-
     def _values(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> dict[str, Any]:
         numbers = {f"{name}.{number}": jnp.asarray(value) for name, each in amounts.items() for number, value in each.items()}
         return {name: jnp.asarray(value) for name, value in self.named(raw).items()} | self._asleep() | numbers
 
     def _asleep(self) -> dict[str, Any]:
-        return {f"{one.name}.{number}": jnp.asarray(float(value)) for one in self.compiled for number, value in one.null().items()}
+        return {
+            f"{one.name}.{number}": jnp.asarray(float(value)) for one in self._variants.compiled for number, value in one.null().items()
+        }
 
     def _linearised(
         self, model: Assembled | None, raw: Float[np.ndarray, " p"], amounts: Amounts, keys: tuple[str, ...]
@@ -218,7 +179,7 @@ class FingerSubject(AbstractSubject):
 
     def _value(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> np.ndarray | None:
         amounts = self._amounts(phi)
-        return self._value_of(self._model(amounts), raw, amounts)
+        return self._value_of(self._variants.of(amounts), raw, amounts)
 
     def _value_of(self, model: Assembled | None, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
         if model is None:
@@ -244,8 +205,8 @@ class FingerSubject(AbstractSubject):
         """What a law of the tissue adds to every row, found on the rough mesh or, `finely`, on that of the linear model; each search begins
         where the last one ended.
         """
-        on = self._model(amounts) if finely else self._rough_model(amounts)
-        linear, law = None if on is None else self._elastic(on, raw, amounts), self._effects(amounts).law(Linear())
+        on = self._variants.of(amounts) if finely else self._variants.rough(amounts)
+        linear, law = None if on is None else self._elastic(on, raw, amounts), self._variants.together(amounts).law(Linear())
         if on is None or linear is None:
             return None
         try:
@@ -275,17 +236,6 @@ class FingerSubject(AbstractSubject):
         here = self._numbered(raw, amounts)
         return found.after(np.array([here.get(name, value) - value for name, value in there.items()]))
 
-    def _rough_model(self, amounts: Amounts) -> Assembled | None:
-        """The mesh on which laws are followed, or that of the linear model where this is no larger."""
-        if self._rough is None:
-            rough = assemble(self.study, solver=self.solver, size=ROUGH * self.size, focused=False)
-            coarser = len(rough.mesh.nodes) < len(self.base.mesh.nodes)
-            self._rough = _with(rough, Effects(self.compiled), self.solver) if coarser else self.base
-        if self._rough is self.base:
-            return self._model(amounts)
-        made = [pair for pair in self._made_of(amounts) if not pair[0].is_law]
-        return self._changed(self._rough, Effects(self.compiled, tuple(made))) if made else self._rough
-
     def _with_law(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
         """The same for tissue of another law: the linear model's, and what the law adds by the implicit rule, or by differences."""
         amounts, laws = self._amounts(phi), [key for key in moving if self._is_law(key)]
@@ -313,7 +263,7 @@ class FingerSubject(AbstractSubject):
         self, rough: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts, linear: Evaluation
     ) -> Float[np.ndarray, "rows p"] | None:
         """Those of the linear model on the mesh on which laws are followed, in the raw parameters."""
-        if rough is self._model(amounts):
+        if rough is self._variants.of(amounts):
             return linear.theta_jacobian
         found = self._linearised(rough, raw, amounts, ())
         return None if found is None else found[1]
@@ -331,7 +281,7 @@ class FingerSubject(AbstractSubject):
     def _inner_slopes(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], keys: list[str]) -> dict[str, np.ndarray]:
         """Slopes of every row in effects that add an internal force f(u): - B' K^-1 f(u), contacts held as they are."""
         amounts = self._amounts(phi)
-        model = self._model(amounts)
+        model = self._variants.of(amounts)
         if not keys or model is None:
             return {}
         found = {key: force for key in keys if (force := self._force_of(model, amounts, key)) is not None}
@@ -350,18 +300,11 @@ class FingerSubject(AbstractSubject):
         if at_null and (own := effect.force(model.model.body, model.finger, model.solid)) is not None:
             return own
         step = (way.step if way.step is not None and at_null else NEAR * way.scale) * (1 if numbers[way.name] < way.upper else -1)
-        body = self._body_with(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
+        body = self._variants.body(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
         if body is None:  # an element turns over there: the other way
             step = -step
-            body = self._body_with(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
+            body = self._variants.body(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
         return None if body is None else between(model.model.body, body, step)
-
-    def _body_with(self, model: Assembled, amounts: Amounts) -> Body | None:
-        """The body with these effects; None where it cannot be."""
-        try:
-            return model_body(model, self._effects({name: each for name, each in amounts.items() if not self.effects[name].traced}))
-        except ValueError:
-            return None
 
     def _difference(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         moved, step = self._stepped(phi, key)
@@ -397,10 +340,6 @@ class FingerSubject(AbstractSubject):
     def _failed(self, p: int, k: int) -> Evaluation:
         n = len(self.rows)
         return Evaluation(np.full(n, np.nan), np.full((n, p), np.nan), np.full((n, k), np.nan), converged=False)
-
-
-def _with(ready: Assembled, effects: Effects, solver: str = "auto") -> Assembled:
-    return lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, solver, effects)
 
 
 def _priors(ready: Assembled, parameters: tuple[Parameter, ...]) -> dict[str, Prior | LogPrior]:
