@@ -86,3 +86,13 @@ def test_an_edge_to_which_both_slopes_lead_ends_the_search_soon() -> None:
     count = [0]
     found, reached = descend(residual, lambda x: np.array([*np.zeros(100), 3.0 * np.sign(x[0])])[:, None], np.array([0.7]), *FAR_ONE, 1e-3)
     assert not reached and abs(found[0]) < 0.1 and count[0] < 25  # a standard error is 0.33, or more where all else is as far off
+
+
+def test_a_step_to_where_there_are_no_slopes_is_refused() -> None:
+    curve = Curve()
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return curve.jacobian(x) if x[0] < 0.2 else np.full((len(T), 2), np.nan)
+
+    found, reached = descend(curve.residual, jacobian, np.array([-2.0, 0.0]), *FAR, NEAR)
+    assert not reached and found[0] < 0.2 and np.isfinite(curve.residual(found)).all()

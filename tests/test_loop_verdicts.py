@@ -216,6 +216,14 @@ def test_units_rescaled_change_nothing() -> None:
     assert scaled.after.phi["contact_offset.offset"].value == pytest.approx(1e3 * plain.after.phi["contact_offset.offset"].value, rel=1e-4)
 
 
+def test_a_glance_spares_derivatives_and_changes_nothing() -> None:
+    plain, spared = Toy(truth={"contact_offset.offset": 0.06}), _Glancing(truth={"contact_offset.offset": 0.06})
+    ends = [diagnose(toy, sets=0) for toy in (plain, spared)]
+    assert ends[0].explanations == ends[1].explanations == ["contact_offset"]
+    assert ends[1].after.phi["contact_offset.offset"].value == pytest.approx(ends[0].after.phi["contact_offset.offset"].value, rel=1e-9)
+    assert spared.glances > 0 and spared.evaluations < plain.evaluations
+
+
 def test_only_effects_that_are_asked_for_are_tried() -> None:
     toy = Toy(truth={"contact_offset.offset": 0.06})
     found = diagnose(toy, sets=0, effects=("friction", "pooling"))
@@ -228,6 +236,18 @@ def test_only_effects_that_are_asked_for_are_tried() -> None:
 
 def _other(name: str) -> str:
     return name[::-1]
+
+
+class _Glancing(Toy):
+    """A toy whose derivatives are dear."""
+
+    glances = 0
+
+    def glance(self, raw, phi):  # type: ignore[no-untyped-def]
+        self.glances += 1
+        here = super().evaluate(raw, phi, ())
+        self.evaluations -= 1
+        return Evaluation(here.prediction, np.zeros((len(here.prediction), 0)), np.zeros((len(here.prediction), 0)), here.converged)
 
 
 class _Renamed(Toy):

@@ -101,8 +101,11 @@ def descend(
         stuck = stuck + 1 if abs(float(moved @ moved) - here.squares) < STUCK * here.squares else 0
         if gain >= 0:
             there = Place(after, moved, jacobian(after))
-            trusted = foretells(turning, here, there, trusted)
-            turning, here = learned(turning, here, there), there
+            if np.isfinite(there.jacobian).all():
+                trusted = foretells(turning, here, there, trusted)
+                turning, here = learned(turning, here, there), there
+            else:
+                damping = _damping(damping, -1.0)
     return here.x, False
 
 

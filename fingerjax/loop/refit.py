@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,6 +33,7 @@ ALONG, BROKEN = (1.0, 0.3, 0.1), 0.1  # parts of a step of which none brings mor
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
 AT_BOUND = 5e-3  # share of the plausible range from its end within which an effect is at its bound
 
+Known = TypeVar("Known")
 Keep = Callable[[str, Callable[[], dict[str, Any]]], dict[str, Any]]
 
 
@@ -124,6 +125,7 @@ class _Points:
     sample: Sample
     columns: tuple[Column, ...]
     seen: dict[bytes, Evaluation] = field(default_factory=dict)
+    glanced: dict[bytes, Evaluation | None] = field(default_factory=dict)
 
     @property
     def near(self) -> float:
@@ -138,17 +140,17 @@ class _Points:
         return raw, {one.key: float(one.null + one.scale * size) for one, size in zip(self.columns, sizes, strict=True)}
 
     def at(self, x: np.ndarray) -> Evaluation:
-        key = x.tobytes()
-        if key not in self.seen:
-            while len(self.seen) > 2:
-                self.seen.pop(next(iter(self.seen)))
-            raw, phi = self.split(x)
-            self.seen[key] = self.sample.subject.evaluate(raw, phi, self.moving)
-        return self.seen[key]
+        return _kept(self.seen, x, lambda: self.sample.subject.evaluate(*self.split(x), self.moving))
+
+    def value_at(self, x: np.ndarray) -> Evaluation:
+        """Without derivatives where these are dear and not known yet."""
+        if x.tobytes() in self.seen:
+            return self.at(x)
+        return _kept(self.glanced, x, lambda: self.sample.subject.glance(*self.split(x))) or self.at(x)
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Residuals and priors of the effects; NaN where the model has no answer, so that the step is refused."""
-        at = self.at(x)
+        at = self.value_at(x)
         if not at.usable:
             return np.full(self.sample.size + len(self.columns), np.nan)
         raw, _ = self.split(x)
@@ -170,6 +172,16 @@ class _Points:
         limits += [((one.lower - one.null) / one.scale, (one.upper - one.null) / one.scale) for one in self.columns]
         lower, upper = np.array(limits, dtype=float).reshape(-1, 2).T
         return lower, upper
+
+
+def _kept(known: dict[bytes, Known], x: np.ndarray, make: Callable[[], Known]) -> Known:
+    """What was found at one of the last few points, else made."""
+    key = x.tobytes()
+    if key not in known:
+        while len(known) > 2:
+            known.pop(next(iter(known)))
+        known[key] = make()
+    return known[key]
 
 
 def optimum(

@@ -273,6 +273,10 @@ class AbstractSubject(abc.ABC):
         derivatives by the raw parameters and by the effects in `moving`.
         """
 
+    def glance(self, raw: Float[np.ndarray, "p"], phi: Mapping[str, float]) -> Evaluation | None:
+        """The same without derivatives, (rows, 0), where that is far less work: searches look so at where a step would lead. None else."""
+        return None
+
     @abc.abstractmethod
     def columns(self, raw: Float[np.ndarray, "p"], phi: Mapping[str, float] = NONE) -> Mapping[str, Float[np.ndarray, "rows"]]:
         """Key -> (rows,) change of the prediction per unit of every column of every family, second terms included: the tangent, or

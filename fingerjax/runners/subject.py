@@ -56,6 +56,7 @@ class FingerSubject(AbstractSubject):
         self._fine: Assembled | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
         self._last: dict[bool, tuple[Strained, dict[str, float]]] = {}
+        self._added: dict[bool, tuple[str, tuple[np.ndarray, Strained, Assembled] | None]] = {}
 
     @property
     def base(self) -> Assembled:
@@ -77,6 +78,13 @@ class FingerSubject(AbstractSubject):
         together = compiled | made
         columns = [together[key] for key in moving]
         return Evaluation(value, theta, np.stack(columns, axis=1) if columns else np.zeros((len(value), 0)))
+
+    def glance(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Evaluation | None:
+        """Where the tissue follows a law, whose slopes ask for a factorisation in every indentation."""
+        if not self._strained(self._amounts(phi)):
+            return None
+        value = self._value(raw, phi)
+        return self._failed(0, 0) if value is None else Evaluation(value, np.zeros((len(value), 0)), np.zeros((len(value), 0)))
 
     def columns(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float] | None = None) -> Mapping[str, Float[np.ndarray, " rows"]]:
         """What every effect would leave at the null; with effects awake, what was found before: directions move little."""
@@ -202,9 +210,14 @@ class FingerSubject(AbstractSubject):
     def _beyond(
         self, raw: Float[np.ndarray, " p"], amounts: Amounts, *, finely: bool = False
     ) -> tuple[np.ndarray, Strained, Assembled] | None:
-        """What a law of the tissue adds to every row, found on the rough mesh or, `finely`, on that of the linear model; each search begins
-        where the last one ended.
-        """
+        """What a law of the tissue adds to every row, found on the rough mesh or, `finely`, on that of the linear model."""
+        key = repr((raw.tolist(), sorted((name, sorted(numbers.items())) for name, numbers in amounts.items())))
+        if finely not in self._added or self._added[finely][0] != key:
+            self._added[finely] = key, self._followed(raw, amounts, finely)
+        return self._added[finely][1]
+
+    def _followed(self, raw: Float[np.ndarray, " p"], amounts: Amounts, finely: bool) -> tuple[np.ndarray, Strained, Assembled] | None:
+        """The same, looked for from where the last ones were found."""
         on = self._variants.of(amounts) if finely else self._variants.rough(amounts)
         linear, law = None if on is None else self._elastic(on, raw, amounts), self._variants.together(amounts).law(Linear())
         if on is None or linear is None:
@@ -249,12 +262,13 @@ class FingerSubject(AbstractSubject):
         moved = tuple((self._ways[key].family, self._ways[key].name) for key in laws)
         of = Lawful(tuple(self.parameters), tuple(self.effects[name] for name in own), moved, self._values(raw, amounts), own)
         rows, sloped = strained_slopes(rough.model, of, jnp.asarray([*raw, *(phi[key] for key in laws)]), found)
-        slopes, numbers = np.asarray(rows), self._last[False][1]
-        self._last[False] = sloped, {name: numbers[name] for name in [*(one.name for one in self.parameters), *map(".".join, moved)]}
+        slopes = np.asarray(rows)
         linear_slopes = self._linear_slopes(rough, raw, amounts, linear)
         if linear_slopes is None:
             return self._failed(len(raw), len(moving))
         others = {key: own + self._beyond_slope(raw, phi, key, added) for key, own in zip(rest, linear.phi_jacobian.T, strict=True)}
+        numbers = self._numbered(raw, amounts)
+        self._last[False] = sloped, {name: numbers[name] for name in [*(one.name for one in self.parameters), *map(".".join, moved)]}
         columns = [slopes[:, len(raw) + laws.index(key)] if key in laws else others[key] for key in moving]
         theta = linear.theta_jacobian + slopes[:, : len(raw)] - linear_slopes
         return Evaluation(linear.prediction + added, theta, np.stack(columns, axis=1) if columns else np.zeros((len(added), 0)))
