@@ -124,7 +124,7 @@ def main(quick: bool) -> Iterator[Figure]:
         command = [sys.executable, "-m", "fingerjax", "diagnose", str(file), "--out", str(Path(place) / "out"), "--fresh"]
         with (Path(place) / "log").open("w") as log:
             spent = _seconds(lambda: subprocess.run(command, check=True, stdout=log, stderr=subprocess.STDOUT))
-        report = json.loads((Path(place) / "out" / "report.json").read_text())
+        report = json.loads((Path(place) / "out" / "report.json").read_text())["loop"]
         (study,) = load_studies(file).values()
         assert study.diagnose is not None
         subject = subject_of(study, study.diagnose.effects)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy
+from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy, predicted
 
 from fingerjax.errors import InputError
 from fingerjax.loop import diagnosis
@@ -112,12 +112,28 @@ def _callus() -> np.ndarray:
     return np.concatenate([profile, np.zeros(62)])
 
 
-@pytest.mark.parametrize("outside", [_ripple, _callus])
+def _distortion() -> np.ndarray:
+    """A lens that enlarges what is far from the middle of its picture."""
+    plain = predicted(np.array(list(TRUE.values())), {})[:36]
+    far = (GRID["line"][1]["distance"] ** 2 + plain**2) / 16
+    return np.concatenate([0.3 * far * plain, np.zeros(62)])
+
+
+def _second_spot() -> np.ndarray:
+    """Another ending of the same afferent, two millimetres beside the first."""
+    bar, plain = GRID["bar"][1], predicted(np.array(list(TRUE.values())), {})[76:]
+    return np.concatenate([np.zeros(76), 0.3 * plain.max() * bar["depth"] * np.exp(-(((bar["position"] + 2.0) / 0.6) ** 2))])
+
+
+WHERE = {_ripple: "plate", _callus: "line", _distortion: "line", _second_spot: "bar"}
+
+
+@pytest.mark.parametrize("outside", WHERE)
 def test_what_is_in_no_catalogue_stays_unexplained_and_is_drawn(outside) -> None:  # type: ignore[no-untyped-def]
     found = verdict(outside=outside)
     assert found.verdict.kind == "unexplained" and not found.explanations
     assert found.unexplained is not None
-    where = "plate" if outside is _ripple else "line"
+    where = WHERE[outside]
     assert max(found.unexplained.share["block"], key=lambda name: found.unexplained.share["block"][name]) == where
     assert np.ptp(found.unexplained.gp[where]["mean"]) > 0.5 * np.ptp(outside())
     assert "inflated" in found.after.interval_kind
