@@ -35,7 +35,7 @@ BEHIND = 10.0  # critical values by which an explanation may be behind the leade
 ASKED, SAME = 2, 0.5  # times that the mesh is asked, and change of what it says, in standard errors, that is none
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
-SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects: the first with which the model has an answer
+SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is plausible: the first with which the model has an answer
 LEADS, RIVALS = 4, 3  # singles, and what each is paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
 
@@ -153,7 +153,8 @@ class Inquiry:
             family = self.early[node.columns[0].family]
             same = [one for one in family.nodes if one.columns == node.columns]
             wanted = {one.key: same[0].change[one.key] if same else begun[-1][1][one.key] - one.null for one in node.columns}
-            begun = [(first(sample), {one.key: _towards(one, share * wanted[one.key]) for one in node.columns}) for share in SHARES]
+            likely = {one.key: float(np.clip(wanted[one.key], -one.scale, one.scale)) for one in node.columns}
+            begun = [(first(sample), {one.key: _towards(one, share * likely[one.key]) for one in node.columns}) for share in SHARES]
             begun = [next((start for start in begun if sample.subject.evaluate(*start, ()).usable), begun[-1])]
         fits = [
             optimum(sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept, enough=self.enough)
