@@ -155,7 +155,7 @@ class Inquiry:
             wanted = {one.key: same[0].change[one.key] if same else begun[-1][1][one.key] - one.null for one in node.columns}
             likely = {one.key: float(np.clip(wanted[one.key], -one.scale, one.scale)) for one in node.columns}
             begun = [(first(sample), {one.key: _towards(one, share * likely[one.key]) for one in node.columns}) for share in SHARES]
-            begun = [next((start for start in begun if sample.subject.evaluate(*start, ()).usable), begun[-1])]
+            begun = [next((start for start in begun if _answers(sample, *start)), begun[-1])]
         fits = [
             optimum(sample, node.columns, raw, start, name=_label(node.columns, number), kept=self.kept, enough=self.enough)
             for number, (raw, start) in enumerate(begun)
@@ -284,6 +284,12 @@ def starts(node: Node, best: Optimum) -> Iterator[tuple[Float[np.ndarray, "p"], 
 def first(sample: Sample) -> Float[np.ndarray, "p"]:
     """Where the study began, raw."""
     return np.array([parameter.raw() for parameter in sample.subject.parameters])
+
+
+def _answers(sample: Sample, raw: Float[np.ndarray, "p"], phi: Mapping[str, float]) -> bool:
+    """Whether the model has an answer there."""
+    at = sample.subject.glance(raw, phi)
+    return (sample.subject.evaluate(raw, phi, ()) if at is None else at).usable
 
 
 def _towards(column: Column, change: float) -> float:
