@@ -5,12 +5,14 @@ with that folder beside the repository as `shared/data`.
 
 Every study in `fits/measured` is a part: it is diagnosed as `fingerjax diagnose` does it, and then asked what it is there for (`FURTHER`).
 What a part found is kept under `build/measured`, from where `--write` makes docs/measured.md; a study that has not been run is named there
-as absent. `--quick` takes coarser meshes, fewer readings and a few effects.
+as absent. A part that was stopped goes on from the searches that it had finished, as long as neither the program nor its study nor the data
+have changed since. `--quick` takes coarser meshes, fewer readings and a few effects.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 import os
@@ -28,10 +30,10 @@ from benchmarks import _afferents, _fingerpad, _table1
 from benchmarks._measured_page import page
 from benchmarks._parts import run_parts
 from benchmarks._record import Figure
+from fingerjax.commands._parts import Parts
 from fingerjax.commands.run import prepare
 from fingerjax.loop.diagnosis import investigate
 from fingerjax.loop.findings import Findings
-from fingerjax.loop.refit import forget
 from fingerjax.loop.verdict import sizes
 from fingerjax.loop.writing import error, written
 from fingerjax.measurements import Measurement
@@ -110,7 +112,7 @@ def part(name: str, quick: bool) -> Iterator[Figure]:
     asked = study.diagnose.effects if study.diagnose is not None else "all"
     subject = subject_of(study, asked, tell=_teller(name))
     findings = investigate(
-        subject, seed=0, effects="all", alpha=0.05, sets=FEW_SETS if quick else SETS, tell=_teller(name), kept=forget
+        subject, seed=0, effects="all", alpha=0.05, sets=FEW_SETS if quick else SETS, tell=_teller(name), kept=_parts(name, study, quick)
     )  # fmt: skip
     record = plain(written(findings).record())
     tables = [tried(findings)]
@@ -161,6 +163,18 @@ def _teller(name: str) -> Callable[[float, str], None]:
         print(f"{name} {share:4.0%} {what}", file=sys.stderr, flush=True)
 
     return tell
+
+
+def _parts(name: str, study: Study, quick: bool) -> Parts:
+    """Finished searches of a study: they belong to this program, this study and these data."""
+    hashed = hashlib.sha256(studies()[name].read_bytes())
+    for file in sorted((ROOT / "fingerjax").rglob("*.py")):
+        hashed.update(file.read_bytes())
+    for one in study.measurements:
+        hashed.update(repr([(column, values.tolist()) for column, values in one.table.items()]).encode())
+    folder = KEPT / ("quick" if quick else "full") / f"{name}-{hashed.hexdigest()[:16]}"
+    folder.mkdir(parents=True, exist_ok=True)
+    return Parts(folder)
 
 
 def _file(name: str, quick: bool) -> Path:

@@ -96,3 +96,14 @@ def test_a_thinned_study_goes_all_the_way(name: str, measured: Path, monkeypatch
     kept = json.loads((studies_of.KEPT / "quick" / f"{name}.json").read_text())
     assert kept["record"]["base"]["converged"] and kept["record"]["verdict"]["kind"]
     assert np.isfinite(figures[f"{name}: error before, fit"]) and figures[f"{name}: whole study"] > 0
+
+
+def test_finished_searches_belong_to_a_study_and_its_data() -> None:
+    study = studies_of.loaded("table1")
+    kept = studies_of._parts("table1", study, False)
+    assert kept("base", lambda: {"x": [1.0]}) == studies_of._parts("table1", study, False)("base", lambda: {}) == {"x": [1.0]}
+    point = study.measurements[0]
+    moved = dataclasses.replace(point, table=point.table | {point.value: point.table[point.value] * 1.01})
+    other = dataclasses.replace(study, measurements=(moved, *study.measurements[1:]))
+    folders = [studies_of._parts("table1", one, quick).folder for one, quick in ((study, False), (other, False), (study, True))]
+    assert len(set(folders)) == 3
