@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -133,6 +134,21 @@ def test_what_a_law_adds_is_checked_on_the_mesh_that_is_fitted_on(tmp_path: Path
     np.testing.assert_allclose(subject.finer(raw, law), linear + 1.0)
     del answers[False]
     assert subject.finer(raw, law) is None
+
+
+@pytest.mark.parametrize("effect", ["epidermis_thickness", "tip_radius"])
+def test_another_amount_of_an_effect_on_the_mesh_compiles_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture, effect: str) -> None:
+    """Compiled programs are kept: thousands of them end a process where the system allows no more mappings of memory."""
+    study = laboratory(tmp_path, "contact_offset", 0.0, trials=1)
+    subject = FingerSubject(assemble(study), chosen((effect,), catalogue()))
+    raw, way = np.array([one.raw() for one in subject.parameters]), subject.families[0].columns[0]
+    answers = []
+    for share in (0.2, 0.25):
+        caplog.clear()
+        with jax.log_compiles():
+            answers.append(subject.evaluate(raw, {way.key: way.null + share * way.scale}, (way.key,)).prediction)
+    assert not [said.getMessage() for said in caplog.records if said.getMessage().startswith("Compiling")]
+    assert np.ptp(answers, axis=0).max() > 0
 
 
 def test_a_study_without_a_fit_has_no_residual(tmp_path: Path) -> None:

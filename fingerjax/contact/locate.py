@@ -40,7 +40,7 @@ def _found(finger: SkinMesh, points_xz: np.ndarray) -> tuple[Pad, np.ndarray, np
     facet, shape, inside = _located(whole, jnp.asarray(points[:, 0]), jnp.asarray(points[:, 1]))
     if not np.all(inside):
         first = points[np.argmin(np.asarray(inside))]
-        x0, x1, z0, z1 = (round(value, 3) for value in whole.box)
+        x0, x1, z0, z1 = (round(float(value), 3) for value in whole.box)
         remedy = f"the pad lies within x {x0} to {x1}, z {z0} to {z1} mm"
         raise InputError("no skin faces -y at this (x, z)", place="surface point", seen=tuple(first.tolist()), remedy=remedy)
     return whole, np.asarray(shape), np.asarray(facet)

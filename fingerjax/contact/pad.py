@@ -14,6 +14,9 @@ from ..errors import InputError
 from .triangle import HATS, SHAPES, SLOPES, WEIGHTS
 
 STEEPEST_SKIN = 0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways
+# Hats along a line stand this many node spacings apart: at 1 the pressure ripples by 14 % (condition number
+# 3000), at 1.5 by 1 % (20), and the force is the same to 0.6 %.
+LINE_SPACING = 1.5
 SHARP = 0.5  # cosine of the angle by which the skin turns at an edge of the body: 60 degrees
 
 
@@ -49,10 +52,11 @@ class Pad(eqx.Module):
     """Hats on the border of the pad: pressure there means that the pad was chosen too small. The body's own edges are no border."""
     edge: Bool[Array, " p"]
     """Pad nodes on an edge of the body, beyond which there is no skin that could be touched."""
-    spacing: float = eqx.field(static=True)
-    """Median node spacing in mm."""
-    box: tuple[float, float, float, float] = eqx.field(static=True)
-    """Smallest and largest x, smallest and largest z, in mm."""
+    box: Float[Array, "4"]
+    """Smallest and largest x, smallest and largest z, in mm. No number that a mesh bent a little changes is static: code would be compiled
+    anew for each."""
+    pieces: tuple[int, int] = eqx.field(static=True)
+    """Pieces of the tip of a line across the box, along x and along z."""
 
 
 def pad(finger: SkinMesh) -> Pad:
@@ -100,6 +104,8 @@ def of_facets(points: np.ndarray, skin: np.ndarray, edge: np.ndarray) -> Pad:
     down = -np.cross(tangent[:, :, 0], tangent[:, :, 1])[..., 1]
     weight = np.maximum(down, 0.0) * WEIGHTS
     carrying, hats = renumbered(facets[:, :3])
+    low, high = at[:, [0, 2]].min(axis=0), at[:, [0, 2]].max(axis=0)
+    count = np.ceil((high - low) / (LINE_SPACING * np.median(np.sqrt(weight.sum(1) / 2.0))))
     return Pad(
         points=jnp.asarray(at),
         nodes=jnp.asarray(nodes),
@@ -111,8 +117,8 @@ def of_facets(points: np.ndarray, skin: np.ndarray, edge: np.ndarray) -> Pad:
         full=jnp.asarray(np.bincount(hats.ravel(), (weight @ HATS).ravel(), len(carrying))),
         rim=jnp.asarray(np.isin(carrying, border(facets)) & ~edge[nodes[carrying]]),
         edge=jnp.asarray(edge[nodes]),
-        spacing=float(np.median(np.sqrt(weight.sum(1) / 2.0))),
-        box=(at[:, 0].min().item(), at[:, 0].max().item(), at[:, 2].min().item(), at[:, 2].max().item()),
+        box=jnp.asarray(np.stack([low, high], axis=1).ravel()),
+        pieces=(max(int(count[0]), 1), max(int(count[1]), 1)),
     )
 
 

@@ -39,7 +39,7 @@ def pad_for(finger: SkinMesh, indentations: Sequence[Indentation]) -> Pad:
     reached = [_reached(whole, one) for one in indentations]
     for one, facets in zip(indentations, reached, strict=True):
         if not facets.any():
-            x0, x1, z0, z1 = (round(value, 3) for value in whole.box)
+            x0, x1, z0, z1 = (round(float(value), 3) for value in whole.box)
             remedy = f"bring its origin over the pad, x {x0} to {x1} and z {z0} to {z1} mm"
             shape = type(one.indenter).__name__
             raise InputError(f"the indenter ({shape}) never touches the skin", place="origin", seen=one.origin, remedy=remedy)
@@ -101,6 +101,7 @@ def _cut(whole: Pad, chosen: np.ndarray) -> dict[str, np.ndarray]:
         "full": np.asarray(whole.full)[kept],
         "rim": np.isin(np.arange(len(kept)), hats[open_ended]),
         "edge": np.asarray(whole.edge)[columns],
+        "box": np.asarray(whole.box),
     }
 
 
