@@ -13,9 +13,9 @@ from fingerjax.fem.body import Material, assemble_body, body, material, rigid_mo
 from fingerjax.fem.carried import admissible
 from fingerjax.fem.columns import columns_from_matrix
 from fingerjax.fem.compliance import compliance, displacement
-from fingerjax.fem.condensed import slopes
 from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.operator import internal_force
+from fingerjax.fem.slopes import slopes
 from fingerjax.fem.solver import MultigridCG, solver_for
 from fingerjax.layers import BONE
 from fingerjax.mesh.bodies import block
