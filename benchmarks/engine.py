@@ -24,10 +24,10 @@ from benchmarks._bodies import COARSE, FINE, Problem, bytes_per_unknown, moduli,
 from benchmarks._record import Figure, at_least, at_most, listed, run
 from fingerjax.fem.assembly import Assembled
 from fingerjax.fem.columns import Columns, columns_from_matrix
-from fingerjax.fem.condensed import slopes
 from fingerjax.fem.multigrid import Hierarchy, hierarchy, preconditioner
 from fingerjax.fem.operator import apply, internal_force
 from fingerjax.fem.pardiso import pardiso_available
+from fingerjax.fem.slopes import slopes
 from fingerjax.fem.solver import AbstractSolver, MultigridCG, solver_for
 from fingerjax.fem.stiffness import Elastic
 
