@@ -209,7 +209,7 @@ def condensing(one: Problem) -> Iterator[Figure]:
     forces = jax.random.uniform(jax.random.key(0), (7, columns.count))
     directions = jnp.eye(one.lame.size).reshape(-1, *one.lame.shape)
 
-    def condensed(solver: AbstractSolver) -> jax.Array:
+    def condensed(solver: AbstractSolver) -> np.ndarray:
         body = solver.condense(one.body, fresh.lame(), columns)
         return slopes(body, one.body, forces, directions)
 
