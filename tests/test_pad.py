@@ -8,7 +8,7 @@ from halfspace import lattice
 
 from fingerjax.contact.footprint import first_contact, interface
 from fingerjax.contact.indenter import Bar, FlatCylinder, FlatPlate, Line, Sphere
-from fingerjax.contact.locate import surface_functionals, surface_y
+from fingerjax.contact.locate import locate, surface_functionals, surface_y
 from fingerjax.contact.pad import functionals, pad
 from fingerjax.contact.reach import Indentation, pad_for, windows
 from fingerjax.errors import InputError
@@ -47,6 +47,19 @@ def test_only_skin_that_faces_the_indenter_is_taken():
     upside_down = type(FLAT)(FLAT.nodes, FLAT.skin[:, [0, 2, 1, 5, 4, 3]])
     with pytest.raises(InputError, match="pad must be at -y"):
         pad(upside_down)
+
+
+def test_a_place_beside_an_edge_that_bends_far_is_found():
+    """Two triangles of a square, whose common edge bulges into one of them: straight, places in the bulge are in the wrong one."""
+    corners = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
+    middles = np.array([[1.0, 0.0], [1.2, 1.2], [0.0, 1.0], [2.0, 1.0], [1.0, 2.0]])
+    x, z = np.concatenate([corners, middles]).T
+    square = type(BOWL)(np.column_stack([x, 0.3 * x - 0.2 * z - 5.0, z]), np.array([[0, 1, 2, 4, 5, 6], [1, 3, 2, 7, 8, 5]]))
+    at = np.linspace(0.05, 1.95, 20)
+    x, z = (each.ravel() for each in np.meshgrid(at, at))
+    assert surface_y(square, x, z) == pytest.approx(0.3 * x - 0.2 * z - 5.0, abs=1e-10)
+    facet, shape, inside = locate(pad(square), jnp.asarray([1.08]), jnp.asarray([1.08]))
+    assert inside.all() and int(facet[0]) == 0 and float(shape.sum()) == pytest.approx(1.0)
 
 
 def test_surface_is_located_on_curved_facets():

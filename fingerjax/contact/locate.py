@@ -14,6 +14,7 @@ from .pad import Pad, SkinMesh, pad
 from .triangle import shapes, slopes
 
 OUTSIDE = -1e3  # barycentric depth of a facet without area
+CANDIDATES = 4  # facets that are looked at for each place
 
 
 def surface_functionals(finger: SkinMesh, points_xz: np.ndarray) -> sp.csc_matrix:
@@ -49,7 +50,8 @@ def _found(finger: SkinMesh, points_xz: np.ndarray) -> tuple[Pad, np.ndarray, np
 def locate(pad: Pad, x: Float[Array, " m"], z: Float[Array, " m"]) -> tuple[Int[Array, " m"], Float[Array, "m 6"], Bool[Array, " m"]]:
     """The curved facet over each (x, z), its shape functions there, and whether the pad has this (x, z).
 
-    Newton's iteration in the facet's own parameters; the last step carries the derivatives in x and z.
+    Newton's iteration in the parameters of those facets whose straight triangles are nearest: near an edge that bends, the one that has
+    the place is often not the first. The last step carries the derivatives in x and z.
     """
     corner = pad.points[pad.facets[:, :3]][..., jnp.array([0, 2])]  # f facet, v vertex, i (x, z)
     target = jnp.stack([x, z], axis=-1)
@@ -62,16 +64,26 @@ def locate(pad: Pad, x: Float[Array, " m"], z: Float[Array, " m"]) -> tuple[Int[
     b = (u[:, 0] * to[..., 1] - u[:, 1] * to[..., 0]) / det
     depth = jnp.minimum(jnp.minimum(a, b), 1.0 - a - b)
     depth = jnp.where(jnp.sum(pad.weight, axis=1) > 0, depth, OUTSIDE)
-    facet = jnp.argmax(depth, axis=1)
-    start = jnp.take_along_axis(jnp.stack([a, b], -1), facet[:, None, None], axis=1)[:, 0]
-    nodes = pad.points[pad.facets[facet]][..., jnp.array([0, 2])]  # m point, a node, i (x, z)
-    settled = jax.lax.fori_loop(0, 6, lambda _, at: _newton(nodes, at, frozen), start)
+    flat, near = jax.lax.top_k(depth, min(CANDIDATES, depth.shape[1]))  # m point, c facet
+    start = jnp.take_along_axis(jnp.stack([a, b], -1), near[..., None], axis=1)
+    nodes = pad.points[pad.facets[near]][..., jnp.array([0, 2])]  # m point, c facet, a node, i (x, z)
+    closer = jax.vmap(_newton, in_axes=(1, 1, None), out_axes=1)
+    settled = jax.lax.fori_loop(0, 6, lambda _, at: closer(nodes, at, frozen), start)
+    best = jnp.argmax(jnp.where(flat > OUTSIDE, _depth(settled), OUTSIDE), axis=1)[:, None]
+    facet = jnp.take_along_axis(near, best, axis=1)[:, 0]
+    settled = jnp.take_along_axis(settled, best[..., None], axis=1)[:, 0]
+    nodes = jnp.take_along_axis(nodes, best[..., None, None], axis=1)[:, 0]
     at = _newton(nodes, jax.lax.stop_gradient(settled), target)
-    inside = jnp.minimum(jnp.minimum(at[:, 0], at[:, 1]), 1.0 - at[:, 0] - at[:, 1]) > -0.05
+    inside = _depth(at) > -0.05
     return facet, shapes(at[:, 0], at[:, 1]), inside
 
 
 _located = eqx.filter_jit(locate)
+
+
+def _depth(at: Float[Array, "*m 2"]) -> Float[Array, "*m"]:
+    """The least barycentric coordinate: below 0 outside of a facet."""
+    return jnp.minimum(jnp.min(at, axis=-1), 1.0 - jnp.sum(at, axis=-1))
 
 
 def _newton(nodes: Float[Array, "m 6 2"], at: Float[Array, "m 2"], target: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
