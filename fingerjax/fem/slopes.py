@@ -30,7 +30,7 @@ def _products(body: Body, directions: Float[Array, "d 2 layers"], u: Fields) -> 
 def slopes(
     condensed: AbstractCondensed, body: Body, forces: Float[Array, "k m"], directions: Float[Array, "d 2 layers"]
 ) -> Float[np.ndarray, "k d m"]:
-    """How readings change with the material under given column forces, for each direction of the Lame parameters."""
+    """How readings, mm, change with the material under given column forces, N, per MPa along each direction of the Lame parameters."""
     k, d = len(forces), len(directions)
     if k * d == 0:
         return np.zeros((k, d, forces.shape[1]))
@@ -46,7 +46,8 @@ def slopes(
 
 
 def _towards_all(body: Body, lame: Lame, directions: Float[Array, "d 2 layers"]) -> tuple[Float[np.ndarray, "d d"], float | None]:
-    """A rotation of the directions after which the first is `times` short of all Lame parameters together; None where none can be.
+    """A rotation (d, d) of the directions, and how many times the first of the turned ones all Lame parameters together are; None for that
+    where these are no combination of the directions.
 
     Springs that do not follow the moduli hold the body too: then the load is not all due to these.
     """
