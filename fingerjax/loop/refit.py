@@ -218,7 +218,7 @@ def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
     if points.columns:
         return near
     found = least_squares(
-        points.residual, near, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-8, xtol=1e-8, gtol=None,
+        points.residual, near, jac=points.jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-9, xtol=1e-9, gtol=None,
         max_nfev=EVALUATIONS,
     )  # fmt: skip
     return _polished(points, found.x)
