@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fingerjax.contact.chord import Chording
+from fingerjax.effects import catalogue, chosen
 from fingerjax.fem.tissue import Exponential, FiniteStrain
 from fingerjax.forward import Assembled
 from fingerjax.forward.strained import FARTHEST, Strained, strained_readings
 from fingerjax.forward.strained_slopes import strained_jacobian, strained_slopes
+from fingerjax.runners import variants
+from fingerjax.runners.subject import FingerSubject
 
 from .test_bodies import cylinder
 
@@ -66,3 +71,23 @@ def test_both_ways_of_asking_for_slopes_agree(ready: Assembled, known: Strained)
     rows, again = strained_slopes(ready.model, of, HERE, known)
     np.testing.assert_array_equal(rows, strained_jacobian(ready.model, of, HERE, known))
     assert again.cases is known.cases
+
+
+def test_a_glance_is_an_evaluation_without_derivatives(ready: Assembled) -> None:
+    subject = FingerSubject(ready, chosen(("finite_strain",), catalogue()))
+    raw, phi = np.array([one.raw() for one in subject.parameters]), {"finite_strain.homotopy": 0.6}
+    glanced, whole = subject.glance(raw, phi), subject.evaluate(raw, phi, tuple(phi))
+    assert glanced.usable and whole.usable and glanced.theta_jacobian.shape == (len(subject.rows), 0)
+    np.testing.assert_allclose(glanced.prediction, whole.prediction, rtol=1e-5)
+    assert subject.glance(raw, {}) is None and subject.glance(raw, {"finite_strain.homotopy": 0.0}) is None
+
+
+@pytest.mark.parametrize(("size", "own"), [(1.0, True), (1.6, False)])
+def test_laws_are_followed_on_a_mesh_with_fewer_nodes_or_on_the_models_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: float, own: bool
+) -> None:
+    monkeypatch.setattr(variants, "ROUGH", size)
+    made = variants.Variants(cylinder(tmp_path, "held", "held", pad=5.0), {}, "auto", 1.0)
+    rough = made.rough({})
+    assert (rough is made.base) is own
+    assert own or len(rough.mesh.nodes) < len(made.base.mesh.nodes)
