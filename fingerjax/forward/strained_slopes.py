@@ -11,33 +11,35 @@ of each equilibrium, in the moduli too.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from ..contact.chord import Chord, Place, Resting, tangent_chord
-from ..contact.strained import contact_slopes
+from ..contact.chord import Resting
 from ..fem.body import Body
+from ..fem.cholesky import Indefinite
 from ..fem.condensed import AbstractCondensed, first_like
 from ..fem.energy import internal_force
 from ..fem.equilibrium import Tissue
 from ..fem.operator import Lame
+from ..fem.stiffness import tangent
 from ..fem.tissue import AbstractTissue, Linear
 from .model import Model
 from .pressing import Known, settle_with
 from .problem import Health
 from .readings import Instruments
 from .rigs import Rig
-from .strained import Strained, imposed_on, place_of, rig_readings, twin
+from .strained import Strained, place_of, rig_readings, twin
 from .wiring import Values
 
 Vector = Float[Array, " d"]
 Law = Callable[[Vector], AbstractTissue]
 LINEAR = 1e-9  # relative difference of two forces up to which one law is another
+ALIKE = 16  # loads are filled up to a multiple of this, so that code is compiled for few numbers of them
 Of = Callable[[Vector], tuple[Values, AbstractTissue]]
 
 
@@ -104,14 +106,10 @@ def strained_slopes(model: Model, of: Of, at: Vector, found: Strained) -> tuple[
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
     for number, rig in enumerate(model.instruments.rigs):
         for first, twins in _of_one_shape(rig, tissues).items():
-            rest = found.cases[number][first].rest
-            place, _ = place_of(model, rig, int(rig.pose[first]))
-            chord = None if rest is None else tangent_chord(tissues[int(rig.variant[first])], place, rest.displacement)
-            for case, times in twins:
-                own = found.cases[number][case].rest
-                if chord is not None and own is not None:
-                    own_chord = chord.stiffer(times)
-                    slopes[number][case], moved[number][case] = _case_slopes(model, own_chord, place, rig, case, own, of, at)
+            rests = {case: rest for case, _ in twins if (rest := found.cases[number][case].rest) is not None}
+            if first in rests:
+                for case, own in _shape_slopes(model, tissues, rig, first, dict(twins), rests, of, at):
+                    slopes[number][case], moved[number][case] = own
     contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
     rows = _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
     return rows, dataclasses.replace(found, slopes=tuple(map(tuple, moved)))
@@ -129,43 +127,102 @@ def _of_one_shape(rig: Rig, tissues: Sequence[Tissue]) -> dict[int, list[tuple[i
     return found
 
 
-def _case_slopes(
-    model: Model, chord: Chord, place: Place, rig: Rig, case: int, rest: Resting, of: Of, at: Vector
-) -> tuple[Float[np.ndarray, "d m_2"], Float[np.ndarray, "d _"]]:
-    """Change of every column's reading, then of the force and of the travel, with each parameter; and of the displacement (d, 3n)."""
-    variant, nodes = int(rig.variant[case]), model.columns.nodes
-    force, push = _forces(model, of, at, variant, jnp.asarray(rest.displacement).reshape(nodes, 3))
-    felt = np.flatnonzero(np.abs(np.asarray(push)).max(axis=(1, 2), initial=0.0))  # not those of other subjects
-    answers = chord.condensed.answer(jnp.concatenate([-push[felt], force[None]]))
-    free = place.matrix.T @ (rest.displacement - np.asarray(answers[-1]).ravel())
-    travel, pressed = imposed_on(model, of(at)[0], rig, case)
-    change, travels = contact_slopes(
-        chord.compliance,
-        place.interface,
-        jnp.asarray(free),
-        place.columns.read(answers[:-1]),
-        None if travel is None else jnp.asarray(travel),
-        None if pressed is None else jnp.asarray(pressed),
-    )
-    load = (place.matrix @ np.asarray(change).T).T
-    more = chord.condensed.answer(jnp.asarray(load).reshape(-1, nodes, 3))
-    moved = np.zeros((len(at), 3 * nodes))
-    moved[felt] = np.asarray(answers[:-1] + more).reshape(len(felt), -1)
-    found = np.zeros((len(at), model.columns.count + 2))
-    found[felt, :-2] = (model.columns.matrix().T @ moved[felt].T).T
-    found[felt, -2], found[felt, -1] = load[:, 1::3].sum(axis=1), np.asarray(travels)
-    return found, moved
+def _shape_slopes(
+    model: Model,
+    tissues: Sequence[Tissue],
+    rig: Rig,
+    first: int,
+    times: dict[int, float],
+    rests: dict[int, Resting],
+    of: Of,
+    at: Vector,
+) -> Iterator[tuple[int, tuple[Float[np.ndarray, "d m_2"], Float[np.ndarray, "d _"]]]]:
+    """Of cases of one shape: change of every column's reading, then of the force and of the travel, with each parameter; and of the
+    displacement (d, 3n). Nothing where the shape's tangent has no answer.
+
+    What touches goes on touching: the tangent answers a unit of each pressure there, and every change of the internal force.
+    """
+    place, _ = place_of(model, rig, int(rig.pose[first]))
+    active = {case: np.asarray(rest.contact.active) for case, rest in rests.items()}
+    touching = np.flatnonzero(np.any(list(active.values()), axis=0))
+    hats, area = place.matrix @ np.asarray(place.interface.load)[:, touching], np.asarray(place.interface.area)[touching]
+    own = {case: tissues[int(rig.variant[case])] for case in rests}
+    ways = {case: _ways(model.instruments, of, at, int(rig.variant[case])) for case in rests}
+    felt = {case: _felt(way) for case, way in ways.items()}
+    pushes = [_pushes(own[case], ways[case], felt[case], rest.displacement) for case, rest in rests.items()]
+    found = _undone(own[first], rests[first].displacement, np.concatenate([hats.T, *(-push for push in pushes)]))
+    if found is None:
+        return
+    pressed, *freely = np.split(found, np.cumsum([len(touching), *(len(each) for each in felt.values())])[:-1])
+    for case, free in zip(rests, freely, strict=True):
+        here = active[case][touching]
+        under = pressed[here].T / times[case]
+        pressure, travel = _held(hats[:, here].T @ under, area[here], hats[:, here].T @ free.T / times[case], rig.forced)
+        moved = np.zeros((len(at), found.shape[1]))
+        moved[felt[case]] = free / times[case] + (under @ pressure).T
+        slopes = np.zeros((len(at), model.columns.count + 2))
+        slopes[:, :-2] = (model.columns.matrix().T @ moved.T).T
+        slopes[felt[case], -2], slopes[felt[case], -1] = area[here] @ pressure, travel
+        yield case, (slopes, moved)
+
+
+def _undone(tissue: Tissue, u: np.ndarray, loads: np.ndarray) -> np.ndarray | None:
+    """What the tangent at a displacement (3n,), mm, answers to loads (k, 3n), N; None where it does not."""
+    there = tangent(tissue.body, tissue.law, tissue.lame, jnp.asarray(u).reshape(-1, 3))
+    filled = np.pad(loads, ((0, -len(loads) % ALIKE), (0, 0)))
+    try:
+        answer = tissue.solver.undo(there, jnp.asarray(filled).reshape(len(filled), -1, 3))
+    except Indefinite:
+        return None
+    return np.asarray(answer.displacement).reshape(filled.shape)[: len(loads)] if bool(answer.converged.all()) else None
+
+
+def _held(
+    compliance: Float[np.ndarray, "a a"], area: Float[np.ndarray, " a"], gap: Float[np.ndarray, "a d"], forced: bool
+) -> tuple[Float[np.ndarray, "a d"], Float[np.ndarray, " d"]]:
+    """Changes of the pressures and of the travel that keep what touches in touch while its `gap` opens: travel held, or the force."""
+    if not forced or not len(area):
+        return -np.linalg.solve(compliance, gap), np.zeros(gap.shape[1])
+    bordered = np.block([[compliance, -area[:, None]], [area[None], np.zeros((1, 1))]])
+    ends = -np.linalg.solve(bordered, np.concatenate([gap, np.zeros((1, gap.shape[1]))]))
+    return ends[:-1], ends[-1]
+
+
+@eqx.filter_jit
+def _ways(instruments: Instruments, of: Of, at: Vector, variant: int) -> tuple[Float[Array, "d 2 layers"], AbstractTissue]:
+    """How the Lame parameters of a variant's tissue and the numbers of its law, each (d, ...), change with each parameter."""
+
+    def numbers(vector: Vector) -> tuple[Lame, AbstractTissue]:
+        values, law = of(vector)
+        return instruments.materials(values)[variant].lame(), eqx.filter(law, eqx.is_inexact_array)
+
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), jax.jacfwd(numbers)(at))
+
+
+def _felt(ways: tuple[Array, AbstractTissue]) -> Int[np.ndarray, " f"]:
+    """The parameters that a tissue depends on: not those of other subjects."""
+    sizes = [np.abs(np.asarray(leaf)).reshape(len(leaf), -1).max(axis=1, initial=0.0) for leaf in jax.tree.leaves(ways)]
+    return np.flatnonzero(np.max(sizes, axis=0))
+
+
+def _pushes(
+    tissue: Tissue, ways: tuple[Array, AbstractTissue], felt: Int[np.ndarray, " f"], u: Float[np.ndarray, " _"]
+) -> Float[np.ndarray, "f _"]:
+    """Change of the internal force (3n,), N, at a displacement (3n,), mm, with some of the parameters."""
+    some, field = jax.tree.map(lambda leaf: leaf[felt], ways), jnp.asarray(u).reshape(-1, 3)
+    return np.asarray(_forces(tissue.body, tissue.law, some, jnp.asarray(tissue.lame), field)).reshape(len(felt), -1)
 
 
 @eqx.filter_jit
 def _forces(
-    model: Model, of: Of, at: Vector, variant: int, u: Float[Array, "nodes 3"]
-) -> tuple[Float[Array, "nodes 3"], Float[Array, "d nodes 3"]]:
-    def force(vector: Vector) -> Array:
-        values, law = of(vector)
-        return internal_force(model.body, law, model.instruments.materials(values)[variant].lame(), u)
+    body: Body, law: AbstractTissue, ways: tuple[Array, AbstractTissue], lame: Lame, u: Float[Array, "nodes 3"]
+) -> Float[Array, "f nodes 3"]:
+    numbers, rest = eqx.partition(law, eqx.is_inexact_array)
 
-    return force(at), jnp.moveaxis(jax.jacfwd(force)(at), -1, 0)
+    def force(own: tuple[Lame, AbstractTissue]) -> Array:
+        return internal_force(body, eqx.combine(own[1], rest), own[0], u)
+
+    return jax.vmap(lambda way: jax.jvp(force, ((lame, numbers),), (way,))[1])(ways)
 
 
 @eqx.filter_jit
