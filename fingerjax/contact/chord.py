@@ -36,6 +36,7 @@ ENOUGH = 1e-4  # share of the promised fall of the energy that a shortened step 
 SLACK = 1e-9  # share of the energy below which a rise is rounding
 SHORTEST = 2.0**-6  # share of a step below which it is given up
 WORSE = 1.5  # growth of the step's norm at which a mixture is not believed
+BEYOND = 1e100  # N: forces from which on sums of their squares are no longer numbers
 ALIKE = 1e-12  # combinations of steps whose product is less than this share of the largest are none
 
 
@@ -179,7 +180,7 @@ class Search:
     def _look(self, u: np.ndarray, active: Array) -> _Iterate | None:
         """The chord's answer at a displacement; None where the tissue's law does not hold."""
         energy, force = self._measured(u)
-        if not np.isfinite(energy) or not np.isfinite(force).all():
+        if not np.isfinite(energy) or not np.all(np.abs(force) < BEYOND):
             return None
         v = u - self.chord(force)
         free, moved = (jnp.asarray(self.place.matrix.T @ each) for each in (v, u))
