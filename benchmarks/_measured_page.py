@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks._record import Figure, machine
-from fingerjax.report import loop_figures, loop_tables, loop_words
+from fingerjax.report import loop_figures, loop_page, loop_tables, loop_words
 from fingerjax.report.loop_record import Record, nearest
 from fingerjax.report.records import Table
 from fingerjax.report.tables import heading, shown
@@ -72,16 +72,21 @@ def _study(name: str, kept: Mapping[str, Any]) -> dict[str, Any]:
         "alike": _first(loop_tables.look_alikes(record), PAIRS),
         "next": loop_tables.next_experiments(record),
         "hidden": loop_tables.hidden(record),
-        "picture": _drawn(name, ends),
+        "pictures": _drawn(name, record),
     }
 
 
-def _drawn(name: str, record: Record) -> str:
-    """The errors by condition as a picture; its path from the page."""
+def _drawn(name: str, record: Record) -> dict[str, str]:
+    """Errors by condition, with the nearest model where none is named, and what remains: caption -> the picture's path from the page."""
     PICTURES.mkdir(parents=True, exist_ok=True)
-    file = PICTURES / f"measured_{name}.svg"
-    file.write_text(loop_figures.conditions(record).svg, encoding="utf-8")
-    return f"{PICTURES.name}/{file.name}"
+    drawn = {}
+    _, *remainders = loop_page.PLANS["rest"].figures(record)
+    for figure in (loop_figures.conditions(nearest(record) or record), *remainders):
+        if figure is not None:
+            file = PICTURES / f"measured_{name}_{figure.name}.svg"
+            file.write_text(figure.svg, encoding="utf-8")
+            drawn[figure.caption] = f"{PICTURES.name}/{file.name}"
+    return drawn
 
 
 def _first(table: Table, count: int) -> Table:

@@ -164,8 +164,8 @@ def sizes(one: Explanation) -> str:
 def _said_of(absorbed: tuple[Score, ...], kind: str) -> str:
     if not absorbed or kind in (NOT_TESTABLE, NOISE_UNKNOWN):
         return ""
-    listed = "; ".join(f"{score.family.name}, of which {score.imitation}" for score in absorbed)
-    return f"The fitted values are right only without what these data cannot show: {listed}."
+    names = ", ".join(score.family.name for score in absorbed)
+    return f"The fitted values are right only without what these data cannot show and the parameters would hide: {names}."
 
 
 def _largest(mesh: MeshGuard) -> float:
