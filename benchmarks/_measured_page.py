@@ -83,7 +83,7 @@ def _drawn(name: str, record: Record) -> dict[str, str]:
     _, *remainders = loop_page.PLANS["rest"].figures(record)
     for figure in (loop_figures.conditions(nearest(record) or record), *remainders):
         if figure is not None:
-            file = PICTURES / f"measured_{name}_{figure.name}.svg"
+            file = PICTURES / f"measured_{name}_{figure.name.removeprefix('loop_')}.svg"
             file.write_text(figure.svg, encoding="utf-8")
             drawn[figure.caption] = f"{PICTURES.name}/{file.name}"
     return drawn

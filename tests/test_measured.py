@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -81,11 +82,14 @@ def test_a_table_in_markdown_leaves_out_empty_columns() -> None:
 def test_the_page_is_made_from_records_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_measured_page, "PICTURES", tmp_path / "pictures")
     more = Table("own", "A question of its own", [{"subject": "1", "needed": 0.25}], "How much it would take.")
-    found = {name: {"notes": f"About {name}.", "record": record(), "tables": [dataclasses.asdict(more)]} for name in ("lab", "other")}
+    kept = {"record": record("unexplained"), "tables": [dataclasses.asdict(more)]}
+    found = {name: {"notes": f"About {name}.", **kept} for name in ("lab", "other")}
     text = page(found, [Figure(f"{name}: whole study", 90.0, "s") for name in found])
     assert text.count("## A question of its own") == 2 and "About lab." in text and "(3 min on" in text
-    assert "nail compliance" in text and "pictures/measured_lab.svg" in text
-    assert (tmp_path / "pictures" / "measured_lab.svg").read_text().lstrip().startswith("<?xml")
+    assert "nail compliance" in text and "pictures/measured_lab_conditions.svg" in text
+    drawn = set(re.findall(r"\((pictures/.*?\.svg)\)", text))
+    assert any("measured_lab_remainder" in name for name in drawn)
+    assert all((tmp_path / name).read_text().lstrip().startswith("<?xml") for name in drawn)
 
 
 @pytest.mark.slow
