@@ -73,6 +73,7 @@ def test_both_ways_of_asking_for_slopes_agree(ready: Assembled, known: Strained)
     assert again.cases is known.cases
 
 
+@pytest.mark.slow
 def test_a_glance_is_an_evaluation_without_derivatives(ready: Assembled) -> None:
     subject = FingerSubject(ready, chosen(("finite_strain",), catalogue()))
     raw, phi = np.array([one.raw() for one in subject.parameters]), {"finite_strain.homotopy": 0.6}

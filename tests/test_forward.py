@@ -261,8 +261,8 @@ def test_a_table_of_forces_whose_solves_are_cut_short_has_no_modulus(tmp_path: P
 def test_contact_that_reaches_the_edge_is_said_and_gives_no_numbers(
     plate: Assembled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pad prepared for 0.8 mm, with a rim of facets two millimetres wide, pressed by 5 mm."""
-    deep = imposing(plate, 0, [0.37, 5.0])
+    """A pad prepared for 0.8 mm, with a rim of facets two millimetres wide, pressed by 8 mm."""
+    deep = imposing(plate, 0, [0.37, 8.0])
     prediction = deep.predict()
     assert prediction.converged and prediction.settled and not prediction.inside and not prediction.health.converged
     assert complaint(prediction) is RESULTS.contact_reached_edge
