@@ -16,7 +16,7 @@ from fingerjax.loop.critical import Critical, critical
 from fingerjax.loop.noise import estimate
 from fingerjax.loop.refit import Optimum, optimum
 from fingerjax.loop.sample import Sample
-from fingerjax.loop.score import Ranking, rank, statistics
+from fingerjax.loop.score import Ranking, imitation, rank, statistics
 from fingerjax.loop.subject import NONE, AbstractSubject, Column, Evaluation, Family, Rows
 from fingerjax.parameters import Parameter
 
@@ -190,3 +190,9 @@ def test_an_edge_is_an_optimum_where_it_promises_little(wanted: float, settled: 
     subject.rows = dataclasses.replace(subject.rows, measured=1.0 + wanted * X)
     found = optimum(Sample.of(subject, estimate(subject.rows), np.ones(len(X), dtype=bool)), (), np.array([1.0, 0.3]), NONE)
     assert abs(found.raw[1]) < 1e-3 and found.settled is settled
+
+
+def test_what_would_move_a_modulus_beyond_all_measure_is_told_at_a_smaller_size() -> None:
+    modulus, column = Parameter("a.modulus", 0.1, "MPa", "log"), Column("gain", "gain", "mm", 0.5, 0.0, 1.0)
+    assert imitation((modulus,), np.array([0.1]), column) == "0.5 mm would pass for a.modulus +10.5%"
+    assert imitation((modulus,), np.array([-900.0]), column) == "0.00128 mm would pass for a.modulus -90.0%"

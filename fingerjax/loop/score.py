@@ -198,15 +198,17 @@ def statistics(
 
 
 def imitation(parameters: tuple[Parameter, ...], shift: Float[np.ndarray, "p"], column: Column) -> str:
-    """In words, the change of base parameters that a plausible size of an effect passes for."""
+    """In words, the change of base parameters that a plausible size of an effect passes for, or a smaller one that moves none tenfold."""
+    logs = [abs(size) for one, size in zip(parameters, shift, strict=True) if one.link == "log"]
+    share = min(1.0, math.log(10.0) / max(max(logs, default=0.0), 1e-300))
     largest = float(np.max(np.abs(shift), initial=0.0))
-    pairs = [(one, size) for one, size in zip(parameters, shift, strict=True) if abs(size) > 0.05 * largest]
+    pairs = [(one, share * size) for one, size in zip(parameters, shift, strict=True) if abs(size) > 0.05 * largest]
     moved = ", ".join(
         f"{one.name} {math.expm1(size):+.1%}" if one.link == "log" else f"{one.name} {float(one.slope(one.raw())) * size:+.3g} {one.unit}"
         for one, size in sorted(pairs, key=lambda pair: -abs(pair[1]))
     )
     unit = "" if column.unit == "1" else f" {column.unit}"
-    return f"{column.null + column.scale:g}{unit} would pass for {moved}"
+    return f"{column.null + share * column.scale:.3g}{unit} would pass for {moved}"
 
 
 def combined(
