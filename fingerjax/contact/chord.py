@@ -25,7 +25,7 @@ from .._results import RESULTS
 from ..fem.carried import admissible
 from ..fem.cholesky import Indefinite
 from ..fem.columns import Columns
-from ..fem.condensed import AbstractCondensed, Stiffer
+from ..fem.condensed import AbstractCondensed
 from ..fem.energy import energy_and_force
 from ..fem.equilibrium import Tissue
 from ..fem.stiffness import tangent
@@ -72,10 +72,6 @@ class Chord:
         """That of a body which is condensed when it is asked for; None where its solves did not converge."""
         found = condensed()
         return cls(found, own) if found.held.converged else None
-
-    def stiffer(self, times: float) -> Chord:
-        """The same body, so many times as stiff."""
-        return self if times == 1.0 else Chord(Stiffer(self.condensed, times), self.own)
 
     def __call__(self, load: np.ndarray) -> np.ndarray:
         """Displacement (3n,), mm, under nodal forces (3n,), N."""

@@ -180,7 +180,10 @@ def _undone(tissue: Tissue, u: np.ndarray, loads: np.ndarray) -> np.ndarray | No
 def _held(
     compliance: Float[np.ndarray, "a a"], area: Float[np.ndarray, " a"], gap: Float[np.ndarray, "a d"], forced: bool
 ) -> tuple[Float[np.ndarray, "a d"], Float[np.ndarray, " d"]]:
-    """Changes of the pressures and of the travel that keep what touches in touch while its `gap` opens: travel held, or the force."""
+    """Changes of the pressures, MPa, and of the travel, mm, that keep what touches in touch while its gaps open: travel held, or the force.
+
+    **Arguments:** `compliance`, mm^3 of gap under each hat per MPa on each; `area`, mm^2; `gap`, mm^3, by which each opens in d ways.
+    """
     if not forced or not len(area):
         return -np.linalg.solve(compliance, gap), np.zeros(gap.shape[1])
     bordered = np.block([[compliance, -area[:, None]], [area[None], np.zeros((1, 1))]])
