@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import importlib.util
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +22,22 @@ def pardiso_available() -> bool:
     return importlib.util.find_spec("pypardiso") is not None
 
 
+@functools.cache
+def _library() -> Any:
+    """MKL, looked for once: that takes longer than many a factorisation."""
+    from pypardiso import PyPardisoSolver
+
+    return PyPardisoSolver(mtype=SYMMETRIC_POSITIVE_DEFINITE)
+
+
 class Pardiso(AbstractCholesky):
     """Raises `ImportError` without the extra `direct`."""
 
     def __init__(self, indptr: np.ndarray, indices: np.ndarray, kept: np.ndarray | None = None):
-        from pypardiso import PyPardisoSolver
-
         self.size = len(indptr) - 1
         self.kept = 0 if kept is None else int(np.count_nonzero(kept))
-        self._library = PyPardisoSolver(mtype=SYMMETRIC_POSITIVE_DEFINITE)
+        self._library = _library()
+        self._handle = np.zeros(64, self._library._pt_type[1])
         self._indptr, self._indices = (np.asarray(part, np.int32) + 1 for part in (indptr, indices))
         self._order = np.zeros(self.size, np.int32) if kept is None else np.asarray(kept, np.int32)
         self._options = np.zeros(64, np.int32)
@@ -57,7 +66,7 @@ class Pardiso(AbstractCholesky):
         columns = right.shape[1] if right.ndim == 2 else 1
         error = _INT(0)
         self._library._mkl_pardiso(
-            self._library.pt.ctypes.data_as(ctypes.POINTER(self._library._pt_type[0])),
+            self._handle.ctypes.data_as(ctypes.POINTER(self._library._pt_type[0])),
             *(_INT(value) for value in (1, 1, SYMMETRIC_POSITIVE_DEFINITE, phase, self.size)),
             self._data.ctypes.data_as(ctypes.c_void_p),
             *(part.ctypes.data_as(ctypes.POINTER(_INT)) for part in (self._indptr, self._indices, self._order)),
