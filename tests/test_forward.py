@@ -24,7 +24,7 @@ from fingerjax._results import RESULTS
 from fingerjax.fem.body import Body
 from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.solver import MultigridCG
-from fingerjax.forward import Assembled, Prediction, assemble, model, rigs
+from fingerjax.forward import Assembled, Prediction, assemble, model, pressing, rigs
 from fingerjax.forward.model import ASSUMED_NOISE, noise_of
 from fingerjax.forward.readings import Solved
 from fingerjax.identify import fit
@@ -126,6 +126,19 @@ def imposing(assembled: Assembled, number: int, imposed: list[float]) -> Assembl
 
 def context(folder: Path) -> Context:
     return Context(folder)
+
+
+def test_hats_answer_hats_as_the_compliance_says_and_stiffer_bodies_in_proportion(everything: Assembled) -> None:
+    model = everything.model
+    lame = model.instruments.materials(at())[0].lame()
+    bodies = model.condensed([lame, 3.0 * lame])
+    for rig in model.instruments.rigs:
+        found = np.asarray(pressing._between(rig, bodies))
+        assert found.shape[:2] == (2, len(rig.columns))
+        for pose, (own, load) in enumerate(zip(np.asarray(rig.columns), np.asarray(rig.interface.load), strict=True)):
+            C = np.asarray(bodies[0].held.matrix)[np.ix_(own, own)]
+            np.testing.assert_allclose(found[0, pose], load.T @ C @ load, rtol=1e-11, atol=1e-15)
+        np.testing.assert_allclose(3.0 * found[1], found[0], rtol=1e-13)
 
 
 @eqx.filter_jit

@@ -59,13 +59,30 @@ def press(
 
     **Raises:** `ValueError` unless exactly one of travel and force is given.
     """
+    between = interface.load.T @ compliance_pp @ interface.load
+    return press_hats(
+        between, interface, travel=travel, force=force, start=start, series=series, glued=glued, max_steps=max_steps
+    )
+
+
+def press_hats(
+    between: Float[Array, "k k"],
+    interface: Interface,
+    *,
+    travel: Float[Array, ""] | float | None = None,
+    force: Float[Array, ""] | float | None = None,
+    start: Bool[Array, " k"] | None = None,
+    series: Float[Array, ""] | float = 0.0,
+    glued: bool = False,
+    max_steps: int = 500,
+) -> Contact:
+    """`press` where the answer of hats to hats is at hand: `between` = load' C load, mm^3 of gap under each per MPa on each."""
     if (travel is None) == (force is None) or (glued and travel is None):
         raise ValueError("give press() either travel= or force=, and travel= when glued")
     present = interface.area > 0
     area = jnp.where(present, interface.area, 1.0)
     # Unknowns are hat forces and mean gaps: newtons and millimetres, whatever the size of a hat.
-    load = interface.load / area
-    compliance = load.T @ compliance_pp @ load
+    compliance = between / (area[:, None] * area)
     compliance = 0.5 * (compliance + compliance.T) + series
     overlap = jnp.where(present, interface.overlap / area, -1e3)
     if glued and travel is not None:
@@ -79,7 +96,7 @@ def press(
     pull = found.force - CLOSING * found.gap / jnp.where(present, jnp.diagonal(compliance), 1.0)
     return Contact(
         pressure=pressure,
-        nodal_forces=load @ found.force,
+        nodal_forces=interface.load @ pressure,
         force=jnp.sum(found.force),
         travel=found.travel,
         area=_area(interface, jnp.where(present, pull / area, jnp.nan)),

@@ -14,10 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+import scipy.sparse as sp
+from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.footprint import Interface
-from ..contact.indentation import Contact, press
+from ..contact.indentation import Contact, press_hats
 from ..effects.added import Added
 from ..effects.records import Push
 from ..fem.body import Body
@@ -32,10 +33,12 @@ class Settled(eqx.Module):
     """Contacts of one rig at the values where its bodies are held.
 
     - `active` (cases, k): touching hats. `slopes` (cases, d, m): change of every column's reading per unit of each direction.
+    - `between`: what hats answer to hats in each pose, load' C load.
     """
 
     active: Bool[Array, "cases k"]
     slopes: Float[Array, "cases d m"]
+    between: Float[Array, "variants poses k k"]
 
 
 class Known(eqx.Module):
@@ -98,17 +101,41 @@ def _settled(
     added: Added,
     values: Mapping[str, Any],
 ) -> Known:
-    C = jnp.stack([each.held.matrix for each in bodies])
-    found = [_settle(rig, C, added, dict(values)) for rig in rigs]
-    slope = [np.zeros((len(forces), directions.shape[1], C.shape[1])) for _, forces in found]
+    between = [_between(rig, bodies) for rig in rigs]
+    columns = bodies[0].held.matrix.shape[0]
+    found = [_settle(rig, hats, columns, added, dict(values)) for rig, hats in zip(rigs, between, strict=True)]
+    slope = [np.zeros((len(forces), directions.shape[1], columns)) for _, forces in found]
     chosen = [[np.flatnonzero(np.asarray(rig.variant) == variant) for rig in rigs] for variant in range(len(bodies))]
     pushed = [jnp.concatenate([forces[cases] for (_, forces), cases in zip(found, own, strict=True)]) for own in chosen]
     for own, moved in zip(chosen, changes(pushed), strict=True):
         ends = np.cumsum([len(cases) for cases in own])[:-1]
         for each, cases, part in zip(slope, own, np.split(moved, ends), strict=True):
             each[cases] = part
-    settled = tuple(Settled(active, jnp.asarray(each)) for (active, _), each in zip(found, slope, strict=True))
+    together = zip(found, slope, between, strict=True)
+    settled = tuple(Settled(active, jnp.asarray(each), hats) for (active, _), each, hats in together)
     return Known(tuple(each.held for each in bodies), settled, directions)
+
+
+def _between(rig: Rig, bodies: list[AbstractCondensed]) -> Float[Array, "variants poses k k"]:
+    """What hats answer to hats in each pose of a rig: a hat loads a few nodes only, so these are sparse products; bodies in proportion
+    share them.
+    """
+    loads = [_on_columns(*pose, bodies[0].held.matrix.shape[0]) for pose in zip(rig.interface.load, rig.columns, strict=True)]
+    made: dict[int, Float[np.ndarray, "poses k k"]] = {}
+    found = []
+    for body in bodies:
+        one, times = body.unscaled
+        if id(one) not in made:
+            C = np.asarray(one.held.matrix)
+            made[id(one)] = np.stack([load @ (load @ C).T for load in loads])
+        found.append(made[id(one)] / times)
+    return jnp.asarray(np.stack(found))
+
+
+def _on_columns(load: Float[Array, "p k"], columns: Int[Array, " p"], count: int) -> sp.csr_matrix:
+    """The load of each hat (k, count) on the compliance's columns."""
+    node, hat = np.nonzero(np.asarray(load))
+    return sp.csr_matrix((np.asarray(load)[node, hat], (hat, np.asarray(columns)[node])), shape=(load.shape[1], count))
 
 
 # One case after the other (lax.map): jaxlib's batched dense solves wait for one another on XLA's own threads, and two at once can take
@@ -117,12 +144,12 @@ def _settled(
 
 @eqx.filter_jit
 def _settle(
-    rig: Rig, C: Float[Array, "variants m m"], added: Added, values: dict[str, Any]
+    rig: Rig, between: Float[Array, "variants poses k k"], columns: int, added: Added, values: dict[str, Any]
 ) -> tuple[Bool[Array, "cases k"], Float[Array, "cases m"]]:
     def one(case: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         pose, imposed, variant = case
-        contact = _push(rig, pose, C[variant], imposed, _geometry(rig, pose), None, added, values)
-        return contact.active, jnp.zeros(C.shape[1]).at[rig.columns[pose]].add(contact.nodal_forces)
+        contact = _push(rig, pose, between[variant, pose], imposed, _geometry(rig, pose), None, added, values)
+        return contact.active, jnp.zeros(columns).at[rig.columns[pose]].add(contact.nodal_forces)
 
     return jax.lax.map(one, (rig.pose, rig.imposed, rig.variant))
 
@@ -138,15 +165,17 @@ def pressed(
     """Every indentation of a rig, and every column's reading under it; differentiable in the material, the indenter's shape and effects."""
     C = jnp.stack([each.matrix for each in known.held])
 
-    def one(case: tuple[Array, ...]) -> tuple[Contact, Array]:
+    def one(case: tuple[Array, ...]) -> tuple[Contact, Array, Array]:
         pose, imposed, variant, active, slope = case
         columns, geometry = rig.columns[pose], _geometry(rig, pose)
         change = away[variant] @ slope
         shifted = eqx.tree_at(lambda part: part.overlap, geometry, geometry.overlap - geometry.load.T @ change[columns])
-        contact = _push(rig, pose, C[variant], imposed, shifted, active, added, values)
-        return contact, C[variant][:, columns] @ contact.nodal_forces + change
+        contact = _push(rig, pose, settled.between[variant, pose], imposed, shifted, active, added, values)
+        return contact, jnp.zeros(C.shape[1]).at[columns].add(contact.nodal_forces), change
 
-    return jax.lax.map(one, (rig.pose, rig.imposed, rig.variant, settled.active, settled.slopes))
+    contact, forces, change = jax.lax.map(one, (rig.pose, rig.imposed, rig.variant, settled.active, settled.slopes))
+    answers = jnp.einsum("vcm,vmn->vcn", jnp.where((rig.variant == jnp.arange(len(C))[:, None])[..., None], forces, 0.0), C)
+    return contact, jnp.sum(answers, axis=0) + change
 
 
 def _geometry(rig: Rig, pose: Array) -> Interface:
@@ -156,16 +185,15 @@ def _geometry(rig: Rig, pose: Array) -> Interface:
 def _push(
     rig: Rig,
     pose: Array,
-    C: Array,
+    between: Array,
     imposed: Array,
     geometry: Interface,
     start: Array | None,
     added: Added,
     values: Mapping[str, Any],
 ) -> Contact:
-    columns = rig.columns[pose]
     said = Push(imposed, geometry.overlap, geometry.area, jnp.zeros(()), rig.forced, rig.context.measurement)
     push = added.push(said, values)
     geometry = eqx.tree_at(lambda part: part.overlap, geometry, push.overlap)
     force, travel = (push.imposed, None) if rig.forced else (None, push.imposed)
-    return press(C[columns[:, None], columns[None, :]], geometry, travel=travel, force=force, start=start, series=push.series)
+    return press_hats(between, geometry, travel=travel, force=force, start=start, series=push.series)
