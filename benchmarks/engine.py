@@ -256,9 +256,9 @@ def starting() -> Figure:
     _, done = (subprocess.run(command, capture_output=True, text=True, env=os.environ | {"NPROC": "16"}, check=True) for _ in range(2))
     each = json.loads(done.stdout.splitlines()[-1])  # the first one filled the caches
     rest = each["first"] - each["seconds"]
-    note = f"imports {each['imports']:.1f} s, warm answer {each['seconds']:.2f} s, tracing and loading what was compiled {rest:.1f} s; 8.7k nodes"
+    parts = f"imports {each['imports']:.1f} s, warm answer {each['seconds']:.2f} s, tracing and loading compiled code {rest:.1f} s"
     limit = 2 * each["seconds"] + each["imports"]
-    return at_most("first answer of a new process", each["first"] + each["imports"], "s", limit, note)
+    return at_most("first answer of a new process", each["first"] + each["imports"], "s", limit, f"{parts}; 8.7k nodes")
 
 
 TEXT = """What one answer of the forward engine costs. Written by `python -m benchmarks.engine --write`; a goal that is not met says so, and
