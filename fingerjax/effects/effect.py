@@ -8,6 +8,7 @@ An effect acts on one or more of the records that the forward model hands on, ea
 | an indenter, its poses and the receptor | `place` | by differences |
 | elements and supports | `support` | by differences |
 | tissue law | `law` | by differences |
+| an internal force alone, to first order | `force` | exact in its size, by differences in all else |
 | elastic constants | `material` | exact |
 | one push of an indenter | `push` | exact |
 | what a receptor feels | `feel` | exact |
@@ -97,7 +98,12 @@ class Effect:
     @property
     def traced(self) -> bool:
         """Whether all that it does is done in compiled code, with exact derivatives."""
-        return not any(self._has(method) for method in ("shape", "place", "support", "law"))
+        return not any(self._has(method) for method in ("shape", "place", "support", "law", "force"))
+
+    @property
+    def first_order(self) -> bool:
+        """Whether all that is known of it is the internal force that a unit of it adds: any size is so many times that."""
+        return self._has("force") and self.inner and not self._has("shape") and not self._has("support")
 
     @property
     def is_law(self) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..effects.added import Effects
+from ..effects.effect import Effect
 from ..fem.body import Body, body
 from ..fem.condensed import AbstractCondensed
 from ..fem.energy import internal_force
@@ -47,6 +48,13 @@ def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float
     directions = jnp.zeros((len(lames), len(forces), *lames[0].shape))
     known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
     return slopes_of(model.instruments, known, {name: jnp.asarray(value) for name, value in values.items()}, len(forces))
+
+
+def first_order(ready: Assembled, values: Values, effects: Sequence[tuple[Effect, float]]) -> Float[np.ndarray, " rows"]:
+    """What effects that are known to first order alone add to every row, each so many times the unit of it."""
+    body = ready.model.body
+    forces = [force for effect, _ in effects if (force := effect.force(body, ready.finger, ready.solid)) is not None]
+    return np.asarray(inner_slopes(ready.model, values, forces)) @ np.array([size for _, size in effects])
 
 
 def _forces(forces: Sequence[Force], lame: Float[Array, "2 layers"], u: Float[Array, "k nodes 3"]) -> Float[Array, "kd nodes 3"]:

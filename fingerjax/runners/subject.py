@@ -17,7 +17,7 @@ from ..effects import Effect
 from ..errors import InputError
 from ..fem.cholesky import Indefinite
 from ..fem.tissue import Linear
-from ..forward.inner import Force, between, inner_slopes, of_law
+from ..forward.inner import Force, between, first_order, inner_slopes, of_law
 from ..forward.model import Assembled
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
@@ -33,6 +33,7 @@ from .variants import Amounts, Variants
 
 DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm about where the study begins: a factor of ten is two of them
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
+TURN = 1e-5  # of a raw parameter: the step of a difference
 SEARCHED = Chording(tolerance=1e-6)  # far below what any noise or mesh leaves
 
 
@@ -72,8 +73,10 @@ class FingerSubject(AbstractSubject):
         if found is None:
             return self._failed(len(raw), len(moving))
         value, slopes = found
+        if rubs := self._rubs(amounts):
+            value, slopes = value + self._rubbed(raw, phi), slopes + self._rubbed_slopes(raw, phi, inside)
         theta, compiled = slopes[:, : len(raw)], dict(zip(inside, slopes[:, len(raw) :].T, strict=True))
-        made = self._inner_slopes(raw, phi, [key for key in outside if self._is_inner(key)])
+        made = self._inner_slopes(raw, phi, [key for key in outside if (self._is_first_order if rubs else self._is_inner)(key)])
         made |= {key: self._difference(raw, phi, key, value) for key in outside if key not in made}
         together = compiled | made
         columns = [together[key] for key in moving]
@@ -160,7 +163,12 @@ class FingerSubject(AbstractSubject):
         return any(self.effects[name].is_law and numbers != self.effects[name].null() for name, numbers in amounts.items())
 
     def _values(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> dict[str, Any]:
-        numbers = {f"{name}.{number}": jnp.asarray(value) for name, each in amounts.items() for number, value in each.items()}
+        numbers = {
+            f"{name}.{number}": jnp.asarray(value)
+            for name, each in amounts.items()
+            if self.effects[name].traced  # the others have changed the model; their names here would have code compiled anew
+            for number, value in each.items()
+        }
         return {name: jnp.asarray(value) for name, value in self.named(raw).items()} | self._asleep() | numbers
 
     def _asleep(self) -> dict[str, Any]:
@@ -193,6 +201,8 @@ class FingerSubject(AbstractSubject):
         if model is None:
             return None
         linear = self._elastic(model, raw, amounts)
+        if linear is not None and self._rubs(amounts):
+            linear = linear + first_order(model, self._values(raw, amounts), self._rubs(amounts))
         if linear is None or not self._strained(amounts):
             return linear
         more = self._beyond(raw, amounts)
@@ -277,13 +287,15 @@ class FingerSubject(AbstractSubject):
         self, rough: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts, linear: Evaluation
     ) -> Float[np.ndarray, "rows p"] | None:
         """Those of the linear model on the mesh on which laws are followed, in the raw parameters."""
-        if rough is self._variants.of(amounts):
+        if rough is self._variants.of(amounts) and not self._rubs(amounts):
             return linear.theta_jacobian
         found = self._linearised(rough, raw, amounts, ())
         return None if found is None else found[1]
 
     def _beyond_slope(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         """How what a law adds changes with another effect."""
+        if self._is_first_order(key):
+            return np.zeros(len(here))
         there, step = self._stepped(phi, key)
         more = self._beyond(raw, self._amounts(there))
         return np.full(len(here), np.nan) if more is None else (more[0] - here) / step
@@ -291,6 +303,27 @@ class FingerSubject(AbstractSubject):
     def _is_inner(self, key: str) -> bool:
         """Whether an effect is in the internal force, so that one linear answer gives its slope."""
         return self.effects[self._ways[key].family].inner
+
+    def _is_first_order(self, key: str) -> bool:
+        return self.effects[self._ways[key].family].first_order
+
+    def _rubs(self, amounts: Amounts) -> list[tuple[Effect, float]]:
+        """Effects awake that are known to first order alone, and how much of each."""
+        sizes = ((self.effects[name], float(next(iter(numbers.values())))) for name, numbers in amounts.items())
+        return [(effect, size) for effect, size in sizes if effect.first_order and size != 0.0]
+
+    def _rubbed(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> np.ndarray:
+        """What these add to every row."""
+        amounts = self._amounts(phi)
+        model = self._variants.of(amounts)
+        return np.full(len(self.rows), np.nan) if model is None else first_order(model, self._values(raw, amounts), self._rubs(amounts))
+
+    def _rubbed_slopes(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], keys: list[str]) -> Float[np.ndarray, "rows d"]:
+        """How that changes with the raw parameters and with other effects, by differences: a small part of a small part."""
+        here = self._rubbed(raw, phi)
+        theta = [(self._rubbed(raw + TURN * way, phi) - here) / TURN for way in np.eye(len(raw))]
+        steps = [self._stepped(phi, key) for key in keys]
+        return np.stack([*theta, *((self._rubbed(raw, there) - here) / step for there, step in steps)], axis=1)
 
     def _inner_slopes(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], keys: list[str]) -> dict[str, np.ndarray]:
         """Slopes of every row in effects that add an internal force f(u): - B' K^-1 f(u), contacts held as they are."""
@@ -311,7 +344,7 @@ class FingerSubject(AbstractSubject):
         if effect.is_law:
             return of_law(model.model.body, lambda size: effect.law(Linear(), numbers | {way.name: size}), numbers[way.name])
         at_null = numbers[way.name] == way.null
-        if at_null and (own := effect.force(model.model.body, model.finger, model.solid)) is not None:
+        if (at_null or effect.first_order) and (own := effect.force(model.model.body, model.finger, model.solid)) is not None:
             return own
         step = (way.step if way.step is not None and at_null else NEAR * way.scale) * (1 if numbers[way.name] < way.upper else -1)
         body = self._variants.body(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})

@@ -81,7 +81,11 @@ class Variants:
 
     def _linear(self, amounts: Amounts) -> Amounts:
         """Of these, what makes another linear model."""
-        return {name: each for name, each in amounts.items() if not self.effects[name].traced and not self.effects[name].is_law}
+
+        def makes(effect: Effect) -> bool:
+            return not (effect.traced or effect.is_law or effect.first_order)
+
+        return {name: each for name, each in amounts.items() if makes(self.effects[name])}
 
     def _laid_out(self, ready: Assembled, solver: str) -> Assembled:
         return lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, solver, Effects(self.compiled))
