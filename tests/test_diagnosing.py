@@ -137,17 +137,24 @@ def test_what_a_law_adds_is_checked_on_the_mesh_that_is_fitted_on(tmp_path: Path
 
 
 @pytest.mark.parametrize("effect", ["epidermis_thickness", "tip_radius"])
-def test_another_amount_of_an_effect_on_the_mesh_compiles_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture, effect: str) -> None:
+def test_an_effect_on_the_mesh_compiles_no_contact_anew_and_another_amount_of_it_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, effect: str
+) -> None:
     """Compiled programs are kept: thousands of them end a process where the system allows no more mappings of memory."""
     study = laboratory(tmp_path, "contact_offset", 0.0, trials=1)
     subject = FingerSubject(assemble(study), chosen((effect,), catalogue()))
     raw, way = np.array([one.raw() for one in subject.parameters]), subject.families[0].columns[0]
-    answers = []
-    for share in (0.2, 0.25):
+    answers, compiled = [], []
+    for share in (0.0, 0.2, 0.25):
+        phi = {way.key: way.null + share * way.scale} if share else {}
         caplog.clear()
         with jax.log_compiles():
-            answers.append(subject.evaluate(raw, {way.key: way.null + share * way.scale}, (way.key,)).prediction)
-    assert not [said.getMessage() for said in caplog.records if said.getMessage().startswith("Compiling")]
+            answers.append(subject.evaluate(raw, phi, tuple(phi)).prediction)
+        compiled.append([said.getMessage() for said in caplog.records if said.getMessage().startswith("Compiling")])
+    asleep, woken, again = compiled
+    assert any("_settle" in said for said in asleep) or any("_sensitive" in said for said in asleep)
+    assert not any("_settle" in said or "_sensitive" in said for said in woken)
+    assert not again
     assert np.ptp(answers, axis=0).max() > 0
 
 
