@@ -319,6 +319,10 @@ def test_a_file_that_is_no_effect_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "empty.py").write_text("raise ValueError('no')\n")
     with pytest.raises(InputError, match="cannot be read"):
         catalogue(tmp_path)
+    two = OWN[: OWN.index("    def ")].replace("0.03),)", '0.03), Size("less", "N", 0.01, 0.0, 0.03))')
+    (tmp_path / "empty.py").write_text(two + "    def force(self, body, finger, solid):\n        return lambda lame, u: 0.0 * u\n")
+    with pytest.raises(InputError, match="so many times that force"):
+        catalogue(tmp_path)
 
 
 def test_effects_are_chosen_by_name() -> None:

@@ -88,3 +88,7 @@ def _check(effect: Effect, file: Path) -> None:
         raise InputError(
             "no such record to act on", file=file, place=effect.name, seen=effect.acts_on, remedy=choose_from(effect.acts_on, ACTS_ON)
         )
+    if effect.first_order and (len(effect.parameters) != 1 or effect.parameters[0].null != 0.0 or effect.grid):
+        seen = ", ".join(size.name for size in effect.parameters)
+        remedy = "give it one number that is 0 where it does nothing, or a method beside force"
+        raise InputError("a force alone counts so many times that force", file=file, place=effect.name, seen=seen, remedy=remedy)

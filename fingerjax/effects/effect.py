@@ -102,7 +102,9 @@ class Effect:
 
     @property
     def first_order(self) -> bool:
-        """Whether all that is known of it is the internal force that a unit of it adds: any size is so many times that."""
+        """Whether all that is known of it is the internal force that a unit of it adds: any size is so many times that. It has
+        one number, 0 at its null.
+        """
         return self._has("force") and self.inner and not self._has("shape") and not self._has("support")
 
     @property

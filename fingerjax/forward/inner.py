@@ -53,8 +53,8 @@ def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float
 def first_order(ready: Assembled, values: Values, effects: Sequence[tuple[Effect, float]]) -> Float[np.ndarray, " rows"]:
     """What effects that are known to first order alone add to every row, each so many times the unit of it."""
     body = ready.model.body
-    forces = [force for effect, _ in effects if (force := effect.force(body, ready.finger, ready.solid)) is not None]
-    return np.asarray(inner_slopes(ready.model, values, forces)) @ np.array([size for _, size in effects])
+    found = [(force, size) for effect, size in effects if (force := effect.force(body, ready.finger, ready.solid)) is not None]
+    return np.asarray(inner_slopes(ready.model, values, [force for force, _ in found])) @ np.array([size for _, size in found])
 
 
 def _forces(forces: Sequence[Force], lame: Float[Array, "2 layers"], u: Float[Array, "k nodes 3"]) -> Float[Array, "kd nodes 3"]:

@@ -309,8 +309,9 @@ class FingerSubject(AbstractSubject):
 
     def _rubs(self, amounts: Amounts) -> list[tuple[Effect, float]]:
         """Effects awake that are known to first order alone, and how much of each."""
-        sizes = ((self.effects[name], float(next(iter(numbers.values())))) for name, numbers in amounts.items())
-        return [(effect, size) for effect, size in sizes if effect.first_order and size != 0.0]
+        known = [(self.effects[name], numbers) for name, numbers in amounts.items() if self.effects[name].first_order]
+        sizes = [(effect, float(numbers[effect.parameters[0].name])) for effect, numbers in known]
+        return [(effect, size) for effect, size in sizes if size != 0.0]
 
     def _rubbed(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> np.ndarray:
         """What these add to every row."""
