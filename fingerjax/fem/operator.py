@@ -10,7 +10,6 @@ The stiffness is affine in the Lame parameters of the layers, so they enter per 
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -45,33 +44,29 @@ def stress(body: Body, lame: Lame, gradient: Float[Array, "elements points 3 3"]
 def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     """Nodal forces, N, that hold the displacement `u`, mm; on supports these are the reactions. Linear in the moduli.
 
-    Between two products with the reference gradients, which are one dense matrix for all elements, everything runs along the elements.
+    Between two products with the reference gradients, which are one dense matrix for all elements, everything runs along the elements;
+    each direction is an array of its own, since XLA leaves a loop over two joined dimensions unvectorised.
     """
     points, corners = body.slopes.shape[:2]
     reference = jnp.swapaxes(body.slopes, 1, 2).reshape(3 * points, corners)
-    moved = jnp.swapaxes(u[body.tets.T], 1, 2)  # a node, i direction, e element
-    gradient = jax.lax.optimization_barrier((reference @ moved.reshape(corners, -1)).reshape(points, 3, 3, -1))  # q, k reference axis, i, e
-    pulled = jax.lax.optimization_barrier(_pulled_back(body, lame, gradient)).reshape(3 * points, -1)
-    forces = (reference.T @ pulled).reshape(corners, 3, -1)
-    elastic = accumulate(body, jnp.transpose(forces, (2, 0, 1)))
+    moved = jnp.moveaxis(u[body.tets.T], 2, 0)  # i direction, a node, e element
+    gradient = [(reference @ each).reshape(points, 3, -1) for each in moved]  # of each direction i: q, k reference axis, e
+    forces = [reference.T @ pulled.reshape(3 * points, -1) for pulled in _pulled_back(body, lame, gradient)]
+    elastic = accumulate(body, jnp.swapaxes(jnp.stack(forces, axis=2), 0, 1))
     springs = body.springs
     return elastic if springs is None else elastic + springs.force(springs.at(lame, fixed=False), u)
 
 
-def _pulled_back(body: Body, lame: Lame, gradient: Float[Array, "points 3 3 elements"]) -> Float[Array, "points 3 3 elements"]:
-    """Stress times weight, seen along the reference axes (q, k, i, e), from the displacement's reference gradient."""
+def _pulled_back(body: Body, lame: Lame, gradient: list[Float[Array, "points 3 elements"]]) -> list[Float[Array, "points 3 elements"]]:
+    """Stress times weight, seen along the reference axes (q, k, e) for each direction i, from the displacement's reference gradient."""
     inverse, axes = body.inverse_along, range(3)
     volumetric, shear = (part[body.layer] * body.weight_along for part in lame)
-    G = [[sum(gradient[:, k, i] * inverse[:, k, j] for k in axes) for j in axes] for i in axes]
+    G = [[sum(gradient[i][:, k] * inverse[:, k, j] for k in axes) for j in axes] for i in axes]
     trace = G[0][0] + G[1][1] + G[2][2]
     if body.dilatation == "mean":
         trace = jnp.sum(body.weight_along * trace, axis=0) / jnp.sum(body.weight_along, axis=0)
-    pressure = volumetric * trace
-    # The barrier keeps XLA from computing each of the six stresses anew in every place that uses it.
-    normal = [2 * shear * G[i][i] + pressure for i in axes]
-    xx, yy, zz, yz, zx, xy = jax.lax.optimization_barrier((*normal, *(shear * (G[i][j] + G[j][i]) for i, j in ((1, 2), (2, 0), (0, 1)))))
-    S = [[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]
-    return jnp.stack([jnp.stack([sum(S[i][j] * inverse[:, k, j] for j in axes) for i in axes], axis=1) for k in axes], axis=1)
+    S = [[shear * (G[i][j] + G[j][i]) + (volumetric * trace if i == j else 0.0) for j in axes] for i in axes]
+    return [sum(S[i][j][:, None] * inverse[:, :, j] for j in axes) for i in axes]
 
 
 def accumulate(body: Body, rows: Float[Array, "elements corners 3"]) -> Float[Array, "nodes 3"]:
