@@ -112,3 +112,19 @@ def test_the_last_few_bodies_are_kept_and_still_answer(body):
     for each in (one, other, one):
         read = columns.read(each.displacement(forces))
         np.testing.assert_allclose(read, forces @ each.held.matrix, atol=1e-9 * float(jnp.abs(read).max()))
+
+
+@pytest.mark.parametrize("every", [1, 9])
+def test_columns_that_were_asked_for_before_are_not_solved_for_again(body, every, monkeypatch):
+    columns, solver = columns_of(body, every), solver_for(body, "factorised")
+    heights = columns.matrix()[:, :-6]
+    elsewhere = strain_columns(body, np.array([0.3, 0.52, 0.4]))[0]
+    moved = columns_from_matrix(sp.hstack([elsewhere, heights[:, ::-1]]).tocsc())
+    fresh = solver_for(body, "factorised").condense(body, SKIN.lame(), moved)
+    solver.condense(body, SKIN.lame(), columns)
+    monkeypatch.setattr(type(solver.host._factor), "factor", lambda *_: pytest.fail("factorised once more"))
+    found = solver.condense(body, SKIN.lame(), moved)
+    np.testing.assert_allclose(found.held.matrix, fresh.held.matrix, atol=1e-10 * float(jnp.abs(fresh.held.matrix).max()))
+    forces = jnp.asarray(np.random.default_rng(0).normal(size=(2, moved.count)))
+    np.testing.assert_allclose(found.displacement(forces), fresh.displacement(forces), atol=1e-9)
+    assert found.held.converged and found.held.residual < 1e-10

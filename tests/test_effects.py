@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +22,7 @@ from fingerjax.fem.solver import Factorised, MultigridCG, solver_for
 from fingerjax.fem.springs import bed, facets, film, springs, tension
 from fingerjax.fem.stiffness import Elastic
 from fingerjax.forward import Assembled, assemble, rigs
-from fingerjax.forward.model import lay_out
+from fingerjax.forward.model import changed, lay_out
 from fingerjax.runners.subject import FingerSubject
 
 from .helpers import DIFFERENCED, SAME_ARITHMETIC, Grade
@@ -92,6 +93,15 @@ def test_compiled_effects_change_nothing_at_their_nulls(ready: Assembled) -> Non
 
 def test_effects_on_the_model_change_nothing_at_their_nulls(ready: Assembled) -> None:
     np.testing.assert_array_equal(read(ready, *((effect, effect.null()) for effect in MADE)), read(ready))
+
+
+@pytest.mark.parametrize("effect", MADE, ids=lambda effect: effect.name)
+def test_a_body_that_no_effect_changes_is_the_same_one(ready: Assembled, effect: Effect) -> None:
+    amount = effect.null() | {size.name: size.null + 0.1 * size.scale for size in effect.parameters}
+    amounts = Effects((), ((effect, amount),))
+    made, anew = changed(ready, amounts), lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=amounts)
+    assert (made.model.body is ready.model.body) != effect.reshapes
+    assert eqx.tree_equal((made.model.body, made.model.columns), (anew.model.body, anew.model.columns))
 
 
 def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubject) -> None:

@@ -57,6 +57,11 @@ class Effects:
     def added(self) -> Added:
         return Added(self.compiled)
 
+    @property
+    def reshape(self) -> bool:
+        """Whether any of them changes elements or supports."""
+        return any(effect.reshapes for effect, _ in self.made)
+
     def shape(self, finger: Finger, solid: AbstractSolid) -> Finger:
         for effect, amount in self.made:
             finger = effect.shape(finger, solid, amount)

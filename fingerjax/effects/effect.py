@@ -105,7 +105,12 @@ class Effect:
         """Whether all that is known of it is the internal force that a unit of it adds: any size is so many times that. It has
         one number, 0 at its null.
         """
-        return self._has("force") and self.inner and not self._has("shape") and not self._has("support")
+        return self._has("force") and self.inner and not self.reshapes
+
+    @property
+    def reshapes(self) -> bool:
+        """Whether it changes elements or supports, so that what was factorised without it is of no use."""
+        return self._has("shape") or self._has("support")
 
     @property
     def is_law(self) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +27,18 @@ REMEMBERED = 6  # condensed bodies of one pattern: subjects, say
 PROBES = 8  # random combinations of all loads in which a factorisation's residual is measured
 
 
+@dataclass(frozen=True, eq=False)
+class _Answered:
+    """What a stiffness was asked for: `columns`, known by their weights and as a `matrix`, and their readings with the `bone_held`."""
+
+    columns: Array
+    stiffness: AbstractStiffness
+    condensed: AbstractCondensed
+    matrix: sp.csc_matrix
+    riding: Carriage
+    bone_held: np.ndarray
+
+
 class Host:
     """The assembled pattern of one body, or of several that share elements and supports, and the last factorisation done with it; lives
     outside compiled code.
@@ -40,20 +54,42 @@ class Host:
         self._kept = np.zeros(len(self.assembled.free), bool)
         self._stiffness: AbstractStiffness | None = None
         self._K = sp.csr_matrix((0, 0))
-        self._last: list[tuple[Array, Elastic, AbstractCondensed]] = []
+        self._last: list[_Answered] = []
 
     def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
-        """The body behind its columns; the last few linear ones are kept, for fits that move something else."""
-        for weight, other, found in self._last:
-            if weight is columns.weight and _same(other, stiffness):
-                return found
-        if not isinstance(stiffness, Elastic):
-            return self._condensed(stiffness, columns)
-        self._last = self._last[1 - REMEMBERED :]
-        self._last.append((columns.weight, stiffness, self._condensed(stiffness, columns)))
-        return self._last[-1][2]
+        """The body behind its columns; the last few linear ones are kept, for fits that move something else.
 
-    def _condensed(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
+        Where most columns were asked for at this stiffness already, only the others are solved for: a receptor that moves, say.
+        """
+        if not isinstance(stiffness, Elastic):
+            return self._condensed(stiffness, columns).condensed
+        for answered in self._last:
+            if answered.columns is columns.weight and _same(answered.stiffness, stiffness):
+                return answered.condensed
+        found = self._completed(stiffness, columns) or self._condensed(stiffness, columns)
+        self._last = [*self._last[1 - REMEMBERED :], found]
+        return found.condensed
+
+    def _completed(self, stiffness: Elastic, columns: Columns) -> _Answered | None:
+        """What was asked for at this stiffness, with the columns that are new; None where these are many."""
+        matrix = columns.matrix()
+        wanted = _told_apart(matrix)
+        for answered in reversed(self._last):
+            if not _same(answered.stiffness, stiffness):
+                continue
+            number = {column: place for place, column in enumerate(_told_apart(answered.matrix))}
+            there = np.array([number.get(column, -1) for column in wanted])
+            new, known = np.flatnonzero(there < 0), np.flatnonzero(there >= 0)
+            if len(new) < min(PARTIAL_FROM, len(known)):
+                C = np.zeros((len(wanted),) * 2)
+                C[np.ix_(known, known)] = answered.bone_held[np.ix_(there[known], there[known])]
+                flat = sp.csr_matrix(matrix)[self.assembled.free]
+                found, residual = self.direct(stiffness, flat[:, new].toarray())
+                _enter(C, new, flat.T @ found.reshape(len(new), 3 * self.nodes)[:, self.assembled.free].T)
+                return self._answered(stiffness, columns, answered.riding, C, residual)
+        return None
+
+    def _condensed(self, stiffness: AbstractStiffness, columns: Columns) -> _Answered:
         matrix, modes = columns.matrix(), len(self.body.modes)
         kept, flat = _touched(columns, matrix)[self.assembled.free], sp.csr_matrix(matrix)[self.assembled.free]
         surface = np.asarray((flat != 0).sum(axis=0)).ravel() == np.asarray((flat[kept] != 0).sum(axis=0)).ravel()
@@ -65,9 +101,7 @@ class Host:
         found, residual = self.direct(stiffness, np.hstack([others, bone]))
         riding = carriage(stiffness, jnp.asarray(found[others.shape[1] :]))
         C = self._read(flat, surface, found[: others.shape[1]], schur, kept)
-        work = matrix.T @ np.asarray(riding.motions).reshape(modes, 3 * self.nodes).T
-        C = C + work @ np.asarray(riding.gives(jnp.asarray(work.T)))
-        return self._answering(stiffness, columns, riding, matrix, C, residual)
+        return self._answered(stiffness, columns, riding, C, residual)
 
     def _read(
         self, flat: sp.csr_matrix, surface: np.ndarray, others: np.ndarray, schur: np.ndarray | None, kept: np.ndarray
@@ -79,13 +113,17 @@ class Host:
             lower = scipy.linalg.cholesky(schur, lower=True, overwrite_a=True, check_finite=False)
             half = scipy.linalg.solve_triangular(lower, hats, lower=True, check_finite=False)
             C[np.ix_(surface, surface)] = half.T @ half
-        seen = flat.T @ others.reshape(len(others), 3 * self.nodes)[:, self.assembled.free].T
-        C[:, ~surface], C[~surface] = seen, seen.T
+        _enter(C, np.flatnonzero(~surface), flat.T @ others.reshape(len(others), 3 * self.nodes)[:, self.assembled.free].T)
         return C
 
-    def _answering(
-        self, stiffness: AbstractStiffness, columns: Columns, riding: Carriage, matrix: sp.csc_matrix, C: np.ndarray, residual: float
-    ) -> AbstractCondensed:
+    def _answered(
+        self, stiffness: AbstractStiffness, columns: Columns, riding: Carriage, bone_held: np.ndarray, residual: float
+    ) -> _Answered:
+        """The carried bone let go, and how well it all went."""
+        matrix = columns.matrix()
+        work = matrix.T @ np.asarray(riding.motions).reshape(len(riding.motions), 3 * self.nodes).T
+        C = bone_held + work @ np.asarray(riding.gives(jnp.asarray(work.T)))
+
         def held(residual: float) -> Held:
             ended = jnp.asarray(1), jnp.asarray(residual), jnp.asarray(residual <= CONVERGED)
             return Held(jnp.asarray((C + C.T) / 2), jnp.asarray(stiffness.lame), *ended)
@@ -95,7 +133,7 @@ class Host:
 
         condensed = ByFactor(held(residual), solve, matrix, self.assembled.free, riding)
         condensed.held = held(max(residual, probe(columns, condensed)))
-        return condensed
+        return _Answered(columns.weight, stiffness, condensed, matrix, riding, bone_held)
 
     def solve(self, stiffness: AbstractStiffness, loads: np.ndarray) -> tuple[np.ndarray, float]:
         """Displacements (m, n, 3) under loads (m, n, 3), and the relative residual of them all."""
@@ -109,7 +147,7 @@ class Host:
         """Displacements (m, n, 3) under loads (free, m) between free unknowns, and the residual of them all."""
         self._at(stiffness)
         assert self._factor is not None
-        x = self._factor.solve(right)
+        x = self._factor.solve(right) if right.shape[1] else right
         full = np.zeros((right.shape[1], 3 * self.nodes))
         full[:, self.assembled.free] = x.T
         return full.reshape(-1, self.nodes, 3), _probed(self._K, x, right) if right.shape[1] else 0.0
@@ -137,6 +175,20 @@ def _same(one: AbstractStiffness | None, other: AbstractStiffness) -> bool:
         alike = all(part is other_part for part, other_part in parts) and (one.body.springs is None) == (other.body.springs is None)
         return alike and np.array_equal(np.asarray(one.lame), np.asarray(other.lame))
     return one is other
+
+
+def _told_apart(matrix: sp.csc_matrix) -> list[tuple[bytes, bytes]]:
+    """What each column holds."""
+    own = sp.csc_matrix(matrix, copy=True)
+    own.eliminate_zeros()
+    own.sort_indices()
+    parts = zip(own.indptr[:-1], own.indptr[1:], strict=True)
+    return [(own.indices[a:b].tobytes(), own.data[a:b].tobytes()) for a, b in parts]
+
+
+def _enter(C: np.ndarray, at: np.ndarray, seen: np.ndarray) -> None:
+    """Write what every column reads under the loads of those `at` into a symmetric matrix."""
+    C[:, at], C[at] = seen, seen.T
 
 
 def _touched(columns: Columns, matrix: sp.csc_matrix) -> np.ndarray:

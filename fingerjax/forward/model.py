@@ -277,6 +277,31 @@ def lay_out(
     finger = effects.shape(finger, solid)
     finger = finger if bone == "elastic" else finger.without_bone()
     tissue = effects.support(body(finger, bone=bone), finger, solid)
+    return _instrumented(study, solid, whole, finger, tissue, wired, solver, effects)
+
+
+def changed(ready: Assembled, effects: Effects) -> Assembled:
+    """A study on the same mesh with other effects in it, solved as before; the body is the very same one where no effect changes it.
+
+    **Raises** `ValueError` where an effect turns elements inside out.
+    """
+    known = ready.model
+    if effects.reshape or ready.effects.reshape:
+        return lay_out(ready.study, ready.solid, ready.mesh, known.wired, known.solver, effects)
+    return _instrumented(ready.study, ready.solid, ready.mesh, ready.finger, known.body, known.wired, known.solver, effects)
+
+
+def _instrumented(
+    study: Study,
+    solid: AbstractSolid,
+    mesh: Finger,
+    finger: Finger,
+    tissue: Body,
+    wired: Wiring,
+    solver: str | AbstractSolver,
+    effects: Effects,
+) -> Assembled:
+    """A study's measurements laid out on a body."""
     laid = lay([plan.changed(effects) for plan in plans(study.measurements, solid, wired)], finger, tissue, solid)
     model = Model(
         body=tissue,
@@ -292,7 +317,7 @@ def lay_out(
             added=effects.added,
         ),
     )
-    return Assembled(study, solid, finger, model, whole, effects)
+    return Assembled(study, solid, finger, model, mesh, effects)
 
 
 def _check_labels(study: Study, wired: Wiring) -> None:

@@ -14,7 +14,7 @@ from ..effects.added import Effects
 from ..fem.body import Body
 from ..fem.solver import AbstractSolver, solver_for
 from ..forward.inner import model_body
-from ..forward.model import Assembled, assemble, lay_out
+from ..forward.model import Assembled, assemble, changed, lay_out
 
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 KEPT = 3  # models with an effect in them that are held at a time
@@ -92,7 +92,7 @@ class Variants:
 
     def _changed(self, ready: Assembled, effects: Effects) -> Assembled:
         """A model with effects in it, and the solver of one that has the same nodes free where there was one."""
-        made = lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, ready.model.solver, effects)
+        made = changed(ready, effects)
         free = np.asarray(made.model.body.free)
         if np.array_equal(free, np.asarray(ready.model.body.free)):
             return made
