@@ -12,10 +12,12 @@ from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy, predicted
 
 from fingerjax.errors import InputError
 from fingerjax.loop import diagnosis
-from fingerjax.loop.diagnosis import diagnose
+from fingerjax.loop.diagnosis import diagnose, investigate
 from fingerjax.loop.record import Diagnosis
+from fingerjax.loop.refit import forget
 from fingerjax.loop.score import rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
+from fingerjax.loop.verdict import decide
 from fingerjax.parameters import Parameter
 
 
@@ -158,6 +160,20 @@ def test_a_coarse_mesh_is_blamed_and_no_effect() -> None:
     assert found.verdict.kind == "mesh-limited" and not found.explanations
     assert found.model.mesh.gate == "failed" and found.model.mesh.lambda_mesh > 1
     assert "refine the mesh" in found.verdict.text
+
+
+def test_a_score_alone_says_nothing_against_a_model_where_the_mesh_moves_its_parameters() -> None:
+    toy = Toy(mesh=0.001, finer_has=0.5)
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+
+    def kind(shift: float, smooth_p: float) -> str:
+        moved = dataclasses.replace(found.mesh, excess=0.8, shift=np.full(found.mesh.shift.shape, shift))
+        scored = dataclasses.replace(found.base.adequacy, omnibus_p=0.9, smooth_p=smooth_p, largest_p=0.004)
+        return decide(found.noise, moved, dataclasses.replace(found.base, adequacy=scored), [], [], ()).kind
+
+    assert found.mesh.checked
+    assert kind(0.9, 0.3) == "mesh-limited"
+    assert kind(0.1, 0.3) == kind(0.9, 0.001) == "unexplained"
 
 
 def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> None:
