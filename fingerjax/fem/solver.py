@@ -212,7 +212,9 @@ class Factorised(AbstractSolver):
         return self.host.condense(stiffness, columns)
 
 
-LARGEST = 60_000  # nodes up to which a factorisation pays
+# Nodes up to which a factorisation pays: from some 100,000 on a single load is answered sooner by multigrid, but a finger asks for hundreds,
+# and ten gigabytes hold the factors of twice as many.
+LARGEST = 150_000
 
 
 def solver_for(body: Body, kind: str = "auto") -> AbstractSolver:
