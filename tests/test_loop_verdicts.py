@@ -13,8 +13,9 @@ from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy, predicted
 from fingerjax.errors import InputError
 from fingerjax.loop import diagnosis
 from fingerjax.loop.diagnosis import diagnose, investigate
+from fingerjax.loop.explanations import Inquiry, starts
 from fingerjax.loop.record import Diagnosis
-from fingerjax.loop.refit import forget
+from fingerjax.loop.refit import Optimum, forget, optimum
 from fingerjax.loop.score import rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
 from fingerjax.loop.verdict import decide
@@ -174,6 +175,24 @@ def test_a_score_alone_says_nothing_against_a_model_where_the_mesh_moves_its_par
     assert found.mesh.checked
     assert kind(0.9, 0.3) == "mesh-limited"
     assert kind(0.1, 0.3) == kind(0.9, 0.001) == "unexplained"
+
+
+def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.06})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+    base = found.base.best
+    inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0)
+    assert inquiry.enough == base.rss - inquiry.needed
+    inquiry.leading = 0.9 * base.rss
+    assert inquiry.enough > base.rss - inquiry.leading
+
+    def searched(family: str) -> Optimum:
+        node = found.base.ranking[family].nodes[0]
+        raw, phi = next(starts(node, base))
+        return optimum(base.sample, node.columns, raw, phi, enough=base.rss - 100.0)
+
+    assert searched("contact_offset").settled and searched("contact_offset").rss < base.rss - 100.0
+    assert not searched("epidermis_thickness").settled and "given up" in searched("epidermis_thickness").reason
 
 
 def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> None:

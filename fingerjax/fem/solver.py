@@ -212,8 +212,8 @@ class Factorised(AbstractSolver):
         return self.host.condense(stiffness, columns)
 
 
-# Nodes up to which a factorisation pays: from some 100,000 on a single load is answered sooner by multigrid, but a finger asks for hundreds,
-# and ten gigabytes hold the factors of twice as many.
+# Nodes up to which a factorisation pays. From some 100,000 on multigrid answers a single load sooner (docs/peers.md has both), but a
+# finger asks for hundreds at once.
 LARGEST = 150_000
 
 

@@ -68,8 +68,8 @@ def descend(
     """The optimum from a start inside the bounds, and whether it was reached; else the best point that was seen.
 
     It is one where `near` standard errors may still be gained, of the residual's own size where that is larger than the noise. A search
-    that crawls far from the data is given up, and so is one that does not promise to come below `enough`, the sum of squares that something
-    else has reached.
+    that crawls far from the data is given up, and so is one that does not promise to come below `enough`, the sum of squares that is asked
+    for.
 
     `residual` gives NaN where the model has no answer: such a step is refused.
     """

@@ -126,13 +126,14 @@ class Inquiry:
 
     @property
     def enough(self) -> float:
-        """Sum of squares above which an explanation is far behind the leader, and one that does not promise to come below is given up.
+        """Sum of squares above which an explanation is no better than chance, or far behind the leader: one that does not promise to come
+        below is given up.
 
         While none leaves nothing to be explained, all that get half of the way are followed, as partners of a second effect.
         """
         alone = any(one.in_set for one in self.found.values())
         behind = BEHIND * self.needed if alone else max(BEHIND * self.needed, 0.5 * self.base.best.rss)
-        return self.base.best.rss - self.leading + behind
+        return self.base.best.rss - max(self.leading - behind, self.needed)
 
     @property
     def needed(self) -> float:
@@ -176,6 +177,10 @@ class Inquiry:
         drops = {family: rss - best.rss for family, rss in without.items()}
         worse = heldout.veto(self.base.best, best, self.held)
         return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, self.needed)
+
+    def _least(self, single: Explanation) -> float:
+        """Its sum of squares, or where the search was given up what it did not promise to come below."""
+        return single.best.rss if single.best.settled else min(single.best.rss, self.enough)
 
     def _blank(self, best: Optimum) -> Look:
         return Look(best, self.base.ranking, self.base.critical, self.base.adequacy)
@@ -241,7 +246,7 @@ class Inquiry:
                     continue
                 fit = self._added(lead, node)
                 if fit.settled and lead.best.rss - fit.rss > self.needed:
-                    without = {names[1]: lead.best.rss, names[0]: self.single(names[1]).best.rss}
+                    without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
                     found[frozenset(names)] = self._explained(names, fit, without)
         return sorted(found.values(), key=lambda one: -_number(one.delta))
 

@@ -202,7 +202,7 @@ def optimum(
     found = kept(name, lambda: {"x": _search(points, start, enough).tolist()})
     ended = _ended(points, np.array(found["x"], dtype=float))
     if not ended.settled and ended.rss > enough:
-        return replace(ended, reason="was given up, since another effect explains far more")
+        return replace(ended, reason="was given up: it promised no more than chance explains, or far less than another effect")
     return ended
 
 
