@@ -33,7 +33,7 @@ from ..study import Study
 from .pressing import settle
 from .problem import Health, Problem
 from .readings import Instruments, Prediction, Solved
-from .rigs import foci, lay, plans, tips
+from .rigs import Skin, foci, lay, plans, tips
 from .shape import Tell, mesh_of, solid_of, unheard
 from .wiring import Prior, Values, Wiring, priors, wiring
 
@@ -123,7 +123,7 @@ class Residuals(eqx.Module):
 class Assembled:
     """A study with its mesh and model: what runs, reports and notebooks work with.
 
-    `mesh` is the finger as it was meshed, with its bone and before any of the `effects`.
+    `mesh` is the finger as it was meshed, with its bone and before any of the `effects`; `skin` is what its indenters touch.
     """
 
     study: Study
@@ -132,6 +132,7 @@ class Assembled:
     model: Model
     mesh: Finger
     effects: Effects = NONE
+    skin: Skin | None = None
 
     def predict(self, values: Values | None = None, quantity: str = "strain_energy_density") -> Prediction:
         """All readings at these values, compiled."""
@@ -288,7 +289,7 @@ def changed(ready: Assembled, effects: Effects) -> Assembled:
     known = ready.model
     if effects.reshape or ready.effects.reshape:
         return lay_out(ready.study, ready.solid, ready.mesh, known.wired, known.solver, effects)
-    return _instrumented(ready.study, ready.solid, ready.mesh, ready.finger, known.body, known.wired, known.solver, effects)
+    return _instrumented(ready.study, ready.solid, ready.mesh, ready.finger, known.body, known.wired, known.solver, effects, ready.skin)
 
 
 def _instrumented(
@@ -300,9 +301,10 @@ def _instrumented(
     wired: Wiring,
     solver: str | AbstractSolver,
     effects: Effects,
+    skin: Skin | None = None,
 ) -> Assembled:
-    """A study's measurements laid out on a body."""
-    laid = lay([plan.changed(effects) for plan in plans(study.measurements, solid, wired)], finger, tissue, solid)
+    """A study's measurements laid out on a body; `skin`: what others touch of it."""
+    laid = lay([plan.changed(effects) for plan in plans(study.measurements, solid, wired)], finger, tissue, solid, skin)
     model = Model(
         body=tissue,
         solver=solver_for(tissue, solver) if isinstance(solver, str) else solver,
@@ -317,7 +319,7 @@ def _instrumented(
             added=effects.added,
         ),
     )
-    return Assembled(study, solid, finger, model, mesh, effects)
+    return Assembled(study, solid, finger, model, mesh, effects, laid.skin)
 
 
 def _check_labels(study: Study, wired: Wiring) -> None:

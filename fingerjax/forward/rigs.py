@@ -202,40 +202,71 @@ def _line_focus(line: Line, solid: AbstractSolid, x: float, z: float, travel: fl
     return Focus("line", z, _theta(solid, x, z), LINE_SPACING, float(reached.max()), line.along, growth=1.0)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
+class Skin:
+    """The skin that rigs touch: a part of it for each pose.
+
+    - `pad`: all of it. `swept`: whether some indenter is moved over it, and every node of it is a column of its own.
+    - `places`: of each rig where its nodes stand among the columns, its contact geometry, and, for a single pose, the columns themselves.
+    """
+
+    planned: list[Plan]
+    pad: Pad
+    swept: bool
+    places: list[tuple[Int[Array, "_ _"], Interface, sp.csc_matrix | None]]
+
+    def serves(self, planned: list[Plan]) -> bool:
+        """Whether these plans press the same shapes at the same places."""
+
+        def alike(one: Plan, other: Plan) -> bool:
+            return np.array_equal(one.origins, other.origins) and bool(eqx.tree_equal(one.indenter, other.indenter))
+
+        return all(map(alike, self.planned, planned))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Laid:
-    """Rigs laid out on a mesh: the columns that they read and press, and the layer of each receptor."""
+    """Rigs laid out on a mesh: the columns that they read and press, the layer of each receptor, and the skin that they touch."""
 
     rigs: tuple[Rig, ...]
     columns: sp.csc_matrix
     receptor_layer: dict[int, int]
+    skin: Skin
 
 
-def lay(planned: list[Plan], finger: Finger, body: Body, solid: AbstractSolid) -> Laid:
-    """Choose the skin that can be touched, and number everything that is pressed or read.
+def lay(planned: list[Plan], finger: Finger, body: Body, solid: AbstractSolid, known: Skin | None = None) -> Laid:
+    """Choose the skin that can be touched, and number everything that is pressed or read. `known`: the skin of other plans on this mesh.
 
     Under one pose the columns are the pressures themselves, a quarter as many as the nodes that they press on; an indenter that is
     swept over the skin is given all the nodes that it can reach, so that every pose is a product with the same matrix.
     """
-    limit = LARGEST_STRAIN_SHARE * float(np.ptp(finger.nodes[:, 1]))
-    wanted = [_indentations(plan, limit) for plan in planned]
-    pad = pad_for(finger, [one for each in wanted for one in each])
-    swept = any(len(plan.origins) > 1 for plan in planned)
-    matrices = [functionals(pad, len(finger.nodes))] if swept else []
+    skin = known if known is not None and known.serves(planned) else _skin(planned, finger)
+    matrices = [functionals(skin.pad, len(finger.nodes))] if skin.swept else []
     rigs, layers = [], {}
-    for plan, indentations in zip(planned, wanted, strict=True):
+    for plan, (columns, geometry, pressed) in zip(planned, skin.places, strict=True):
         observed, reading, layer = _readings(plan, finger, body, solid)
         reading = reading + _append(matrices, observed)
         if layer is not None:
             layers[plan.index] = layer
+        if pressed is not None:
+            columns = columns + _append(matrices, pressed)
+        rigs.append(_rig(plan, columns, geometry, reading))
+    return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers, skin)
+
+
+def _skin(planned: list[Plan], finger: Finger) -> Skin:
+    limit = LARGEST_STRAIN_SHARE * float(np.ptp(finger.nodes[:, 1]))
+    wanted = [_indentations(plan, limit) for plan in planned]
+    pad = pad_for(finger, [one for each in wanted for one in each])
+    places = []
+    for plan, indentations in zip(planned, wanted, strict=True):
         cut = windows(pad, indentations)
-        geometry = _interfaces(plan.indenter, cut, jnp.asarray(plan.origins))
-        columns = cut.columns
+        columns, geometry, pressed = cut.columns, _interfaces(plan.indenter, cut, jnp.asarray(plan.origins)), None
         if len(plan.origins) == 1:
             pressed, geometry = _pressures(cut, geometry, len(finger.nodes))
-            columns = jnp.asarray(np.arange(pressed.shape[1])[None] + _append(matrices, pressed))
-        rigs.append(_rig(plan, columns, geometry, reading))
-    return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers)
+            columns = jnp.arange(pressed.shape[1])[None]
+        places.append((columns, geometry, pressed))
+    return Skin(planned, pad, any(len(plan.origins) > 1 for plan in planned), places)
 
 
 def _append(matrices: list[sp.csc_matrix], more: sp.csc_matrix | None) -> int:
