@@ -101,7 +101,8 @@ def test_a_body_that_no_effect_changes_is_the_same_one(ready: Assembled, effect:
     amounts = Effects((), ((effect, amount),))
     made, anew = changed(ready, amounts), lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=amounts)
     assert (made.model.body is ready.model.body) != effect.reshapes
-    assert eqx.tree_equal((made.model.body, made.model.columns), (anew.model.body, anew.model.columns))
+    parts = ((one.model.body, one.model.columns, one.model.instruments.rigs) for one in (made, anew))
+    assert eqx.tree_equal(*parts)
 
 
 def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubject) -> None:
