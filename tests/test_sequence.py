@@ -118,15 +118,17 @@ def test_derivatives_in_receptor_depth(sequence: Sequence, C: jax.Array) -> None
     compared(lambda v: readings(sequence, pushed, deeper=v[0]), jnp.zeros(1), 1e-5)
 
 
-def test_a_deeper_receptor_is_read_as_if_it_had_been_there(finger: Finger, sequence: Sequence, C: jax.Array) -> None:
-    pushed = sequence.press(C, SHAPES["bar"], travel=0.6)
-    other = prepare(finger, list(SHAPES.values()), ORIGINS, 1.0, below(SOLID, 0.8, MIDDLE), bone="held")
-    there = other.press(other.condense(TISSUE).held.matrix, SHAPES["bar"], travel=0.6)
-    strain = [np.asarray(each) for each in (sequence.feel(pushed, TISSUE, 0.05).strain, other.feel(there, TISSUE).strain)]
-    still = np.asarray(sequence.feel(pushed, TISSUE).strain)
-    # The two patches are fitted anew, and on a coarse mesh differ by as much as the shift corrects; the slope itself is tested in
-    # test_recovery on fields that it must read exactly.
-    assert np.linalg.norm(strain[0] - strain[1]) < np.linalg.norm(still - strain[1])
+def test_deeper_receptors_are_read_as_if_they_had_been_there(finger: Finger) -> None:
+    depth, strain = (0.45, 0.55), []  # both well inside the dermis
+    for deep in depth:
+        sites = below(SOLID, deep, MIDDLE + np.linspace(-1.2, 1.2, 7))
+        laid = prepare(finger, SHAPES["bar"], ORIGINS, 1.0, sites, bone="held")
+        pushed = laid.press(laid.condense(TISSUE).held.matrix, SHAPES["bar"], travel=0.6)
+        strain.append([np.asarray(laid.feel(pushed, TISSUE, deeper).strain) for deeper in (0.0, depth[1] - deep)])
+    (still, moved), (there, _) = strain
+    error, without = (np.linalg.norm(each - there, axis=(0, 2)) for each in (moved, still))
+    # The two places may be fitted from different patches; the slope itself is tested in test_recovery on fields that it must read exactly.
+    assert np.median(error / without) < 0.5
 
 
 def test_derivatives_in_moduli(finger: Finger) -> None:
