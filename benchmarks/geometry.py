@@ -26,6 +26,7 @@ from fingerjax.finger import Finger
 from fingerjax.forward import Prediction
 from fingerjax.forward.model import lay_out
 from fingerjax.forward.rigs import foci, plans
+from fingerjax.forward.shape import mesh_of, nail_rim
 from fingerjax.forward.wiring import wiring
 from fingerjax.geometry.borders import border
 from fingerjax.geometry.outline import Outline
@@ -46,6 +47,7 @@ from fingerjax.study import Study, load_studies
 PAD, DORSUM = (200.0, 340.0), (20.0, 160.0)  # deg
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "geometry.md"
 BUILD_LIMIT = {"monkey": 40.0, "human": 40.0, "monkey fine": 180.0}  # s
+LADDER_RIM = 1.25  # mm between nodes along the rim of the nail, doubled and divided like every other focus of the ladder
 COARSE = Resolution(1.5)  # of the first rung of the ladder: the third has nine times its triangles, and three elements through a layer
 TABLE = """
 version: 1
@@ -237,8 +239,9 @@ def convergence(quick: bool) -> Iterator[Figure]:
     with pressed_monkey() as study:
         focus = _foci(study, solid)
         steps = (1, 2) if quick else (1, 2, 3)
-        rungs = [Answers.on(study, solid, ladder(solid, step, COARSE, tuple(_finer(one, step) for one in focus))) for step in steps]
-        paper = Answers.on(study, solid, build_finger(solid, PAPER["monkey"], focus))
+        fine = [tuple(_finer(one, step) for one in (*focus, *nail_rim(solid, LADDER_RIM))) for step in steps]
+        rungs = [Answers.on(study, solid, ladder(solid, step, COARSE, refined)) for step, refined in zip(steps, fine, strict=True)]
+        paper = Answers.on(study, solid, mesh_of(study, solid, focus))
     sizes = ", ".join(str(rung.nodes) for rung in rungs)
     for name in rungs[0].numbers():
         values = np.array([rung.numbers()[name] for rung in rungs])
@@ -283,9 +286,9 @@ def scatter(count: int) -> Iterator[Figure]:
     solid = preset("monkey")
     with pressed_monkey() as study:
         focus = _foci(study, solid)
-        found = [Answers.on(study, solid, build_finger(solid, PAPER["monkey"], focus, repeat=number)) for number in range(count)]
+        found = [Answers.on(study, solid, mesh_of(study, solid, focus, repeat=number)) for number in range(count)]
     note = f"standard deviation over {count} meshes of {min(a.nodes for a in found)} to {max(a.nodes for a in found)} nodes"
-    note += "; limited by one element through each layer, and by a coarse dorsum under the nail"
+    note += "; limited by one element through each layer, and by elements along the rim of the nail"
     for name in found[0].numbers():
         values = np.array([each.numbers()[name] for each in found])
         goal = 3.0 if "SED" in name else 1.0

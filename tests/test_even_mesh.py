@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fingerjax.forward import meshed
+from fingerjax.forward.shape import RIM
 from fingerjax.mesh.contour import beyond
 from fingerjax.runners import diagnosing
 from fingerjax.study import Study
@@ -16,11 +17,11 @@ from .test_forward import PLATE, study_of
 COARSE = {"pad_mm": 0.6, "proximal_mm": 2.4}
 
 
-def study(folder: Path, bone: str) -> Study:
+def study(folder: Path, bone: str, resolution: dict[str, float] = COARSE) -> Study:
     rows = [{"displacement_mm": 0.4, "force_N": 0.1}, {"displacement_mm": 0.8, "force_N": 0.2}]
     files, free = {"plate": (PLATE, rows)}, {"free": ["epidermis.modulus"]}
     model = {"ratios": "m43338", "epidermis_MPa": 0.14, "bone": bone}
-    return study_of(folder, files, free, finger={"preset": "monkey", "resolution": COARSE}, model=model)
+    return study_of(folder, files, free, finger={"preset": "monkey", "resolution": resolution}, model=model)
 
 
 def longest_at_rim(one: Study, even: bool) -> float:
@@ -38,6 +39,14 @@ def test_the_rim_is_fine_where_the_bone_hangs_from_the_nail(tmp_path: Path) -> N
     fine = longest_at_rim(hung, True)
     assert fine <= 2 * 0.8 * COARSE["pad_mm"] * (1 + 1e-9)
     assert longest_at_rim(held, True) > fine and longest_at_rim(hung, False) > fine
+
+
+def test_any_mesh_is_finer_along_the_rim_from_which_the_bone_hangs(tmp_path: Path) -> None:
+    coarsest = {"pad_mm": 0.5, "proximal_mm": 1.5}
+    for bone in ("rigid", "held"):
+        (tmp_path / bone).mkdir()
+    hung, held = (longest_at_rim(study(tmp_path / bone, bone, coarsest), False) for bone in ("rigid", "held"))
+    assert hung <= 2 * RIM * coarsest["proximal_mm"] * (1 + 1e-9) < held
 
 
 def test_elements_are_as_small_as_the_nodes_allow(tmp_path: Path) -> None:

@@ -214,7 +214,7 @@ class Factorised(AbstractSolver):
 
 # Nodes up to which a factorisation pays. From some 100,000 on multigrid answers a single load sooner (docs/peers.md has both), but a
 # finger asks for hundreds at once.
-LARGEST = 150_000
+LARGEST = 180_000
 
 
 def solver_for(body: Body, kind: str = "auto") -> AbstractSolver:

@@ -33,7 +33,8 @@ SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same picture
 COARSEST = 1.6  # of the resolution that was asked for
 EVEN = 2.0  # largest node spacing over the pad's, of an even mesh
 ROUND = 4.0  # node spacings to a finger's largest radius, at least, of an even mesh
-RIM_SPACING = 0.8  # of the pad's spacing: nodes along the rim of the nail, of an even mesh
+RIM = 2.0 / 3.0  # of the coarsest spacing: nodes along the rim of the nail
+EVEN_RIM = 0.8  # of the pad's spacing: the same of an even mesh
 Tell = Callable[[float, str], object]
 
 
@@ -74,14 +75,16 @@ def _fingertip(study: Study, tell: Tell) -> LayeredSolid:
     return layered(_outline(study, tell), _plan(study), nail, study.name)
 
 
-def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), size: float = 1.0, even: bool = False) -> Finger:
+def mesh_of(
+    study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), size: float = 1.0, even: bool = False, repeat: int = 0
+) -> Finger:
     """The mesh of a study's fingertip. One that was made elsewhere is taken as it is, whatever the indenters ask for, and so are bodies
-    of rings and levels.
+    of rings and levels. `repeat` asks for another mesh of the same solid.
 
-    Elements `size` times as large are coarser first of all under wedges, where most of them are, for elsewhere they must follow the bone.
-    An `even` mesh is hardly coarser far from the pad, fine where the skin is let go along the rim of the nail, and all of its elements
-    scale alike. A bone that only tissue holds hangs from the nail, and forces depend on that rim as much as on the skin under the indenter:
-    errors of two such meshes differ by what their element sizes say.
+    A bone that only tissue holds hangs from the nail, and forces depend on the rim where the nail lets the skin go as much as on the skin
+    under the indenter: there such a finger is refined as well. Elements `size` times as large are coarser first of all under wedges, where
+    most of them are, for elsewhere they must follow the bone. An `even` mesh is hardly coarser far from the pad, finer still along that
+    rim, and all of its elements scale alike: errors of two such meshes differ by what their element sizes say.
     """
     said = study.finger
     if said.mesh is not None:
@@ -97,12 +100,12 @@ def mesh_of(study: Study, solid: AbstractSolid, focus: tuple[Focus, ...] = (), s
         round_ = solid.largest_radius / ROUND
         resolution = Resolution(min(resolution.pad, round_), min(resolution.coarsest, EVEN * round_))
     focus = tuple(dataclasses.replace(one, size=one.size * (wedge if one.kind == "line" else size)) for one in focus)
-    if even and study.model.bone_kind() == "rigid":
-        focus += _rim(solid, size * RIM_SPACING * pad)
-    return build_finger(solid, resolution, focus, said.mesher)
+    if study.model.bone_kind() == "rigid":
+        focus += nail_rim(solid, size * EVEN_RIM * pad if even else RIM * resolution.coarsest)
+    return build_finger(solid, resolution, focus, said.mesher, repeat)
 
 
-def _rim(solid: LayeredSolid, spacing: float) -> tuple[Focus, ...]:
+def nail_rim(solid: LayeredSolid, spacing: float) -> tuple[Focus, ...]:
     """Refinement along the four sides of the nail."""
     (low, high), (right, left) = solid.nail.z, solid.nail.theta
     middle, top = 0.5 * (low + high), 0.5 * (right + left)
