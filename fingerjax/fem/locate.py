@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from . import element
 
+NEAREST = 24  # elements that are tried
 INSIDE = 1e-6  # barycentric slack for a point on a face
 
 
@@ -25,14 +28,28 @@ class Locator:
         Candidates come from the straight tetrahedra on the corners, nearest first; Newton's method then undoes the curved map.
         Raises ValueError where the point lies in no element.
         """
-        reference = np.einsum("eij,ej->ei", self._inverse, point - self._first)
-        worst = element.barycentric(reference).min(axis=1)
-        for candidate in np.argsort(-worst)[:24]:
-            local = _undo_map(self.nodes[self.tets[candidate]], self.order, point, reference[candidate])
+        for candidate, local in self._candidates(point):
             if element.barycentric(local[None]).min() >= -INSIDE:
-                return int(candidate), local
+                return candidate, local
         place = np.round(point, 3).tolist()
         raise ValueError(f"the point {place} mm lies outside the meshed tissue; check the receptor's depth and site")
+
+    def within(self, point: np.ndarray, distance: float) -> list[int]:
+        """The elements that hold the point (3,), or none of whose faces' planes leaves it more than `distance`, mm, outside."""
+        found = []
+        for candidate, local in self._candidates(point):
+            ways = element.CORNER_SLOPES @ self._inverse[candidate]  # of the four barycentric coordinates, 1/mm
+            outside = -element.barycentric(local[None])[0] / np.linalg.norm(ways, axis=1)
+            if outside.max() <= distance:
+                found.append(candidate)
+        return found
+
+    def _candidates(self, point: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Elements by how far inside their straight corners the point lies, with its place in each."""
+        reference = np.einsum("eij,ej->ei", self._inverse, point - self._first)
+        worst = element.barycentric(reference).min(axis=1)
+        for candidate in np.argsort(-worst)[:NEAREST]:
+            yield int(candidate), _undo_map(self.nodes[self.tets[candidate]], self.order, point, reference[candidate])
 
 
 def _undo_map(nodes: np.ndarray, order: int, point: np.ndarray, local: np.ndarray) -> np.ndarray:

@@ -13,6 +13,9 @@ most. What is read is a weighted sum of nodal displacements, and so one more col
 Where layers meet strain jumps and displacement does not. The patch is made of elements of the point's own layer alone, with their nodes
 on the interfaces. A layer that is one element thick has only three nodes through it: powers that these cannot tell from lower ones are
 left out, and across it the fit is quadratic.
+
+A point on an interface, or nearer to it than a mesh can tell, is read in the outer of the two layers. The preset monkey's dermis ends
+where the paper puts its receptors, 0.75 mm below the skin; left to the mesh, one receptor lay in the dermis and the next below it.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy; s
 POWERS = np.array(sorted(((i, j, k) for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3), key=sum))
 ENOUGH = 2  # nodes in a patch for each coefficient of a cubic
 DISTINCT = 0.1  # a power of which lower ones leave less than this share is not told from them
+ON_INTERFACE = 0.02  # mm; interfaces of a mesh lie so near to their own
 NEARNESS = 6.0  # weight exp(-6 r^2), with r = 1 at the farthest node
 
 
@@ -66,12 +70,18 @@ class Recovery:
 
     def _at(self, point: np.ndarray, direction: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, int]:
         """Nodes (k,) around a point, their weights (k, 3) in the slopes there, and its layer."""
-        element, _ = self.locate(point)
+        element = self._holding(point)
         around = self.patch(element)
         away = self.nodes[around] - point
         size = np.linalg.norm(away, axis=1).max()
         slopes = fitted_slopes(away / size, direction) / (size if direction is None else size**2)
         return around, slopes, int(self.layer[element])
+
+    def _holding(self, point: np.ndarray) -> int:
+        """The element that holds a point; where it is nearer than `ON_INTERFACE` to a layer farther out, the nearest of that layer."""
+        holds, _ = self.locate(point)
+        near = [element for element in self.locate.within(point, ON_INTERFACE) if self.layer[element] < self.layer[holds]]
+        return min(near, key=lambda element: self.layer[element], default=holds)
 
     def _columns(self, found: list[tuple[np.ndarray, np.ndarray, int]]) -> sp.csc_matrix:
         """Six columns for each of a few points, in one go: most maps have thousands."""
