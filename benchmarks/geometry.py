@@ -26,7 +26,7 @@ from fingerjax.finger import Finger
 from fingerjax.forward import Prediction
 from fingerjax.forward.model import lay_out
 from fingerjax.forward.rigs import foci, plans
-from fingerjax.forward.shape import mesh_of, nail_rim
+from fingerjax.forward.shape import mesh_of
 from fingerjax.forward.wiring import wiring
 from fingerjax.geometry.borders import border
 from fingerjax.geometry.outline import Outline
@@ -47,8 +47,7 @@ from fingerjax.study import Study, load_studies
 PAD, DORSUM = (200.0, 340.0), (20.0, 160.0)  # deg
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "geometry.md"
 BUILD_LIMIT = {"monkey": 40.0, "human": 40.0, "monkey fine": 180.0}  # s
-LADDER_RIM = 1.25  # mm between nodes along the rim of the nail, doubled and divided like every other focus of the ladder
-COARSE = Resolution(1.5)  # of the first rung of the ladder: the third has nine times its triangles, and three elements through a layer
+COARSE = Resolution(1.5, 2.0)  # of the first rung of the ladder: the third has nine times its triangles, and three elements through a layer
 TABLE = """
 version: 1
 studies:
@@ -159,6 +158,9 @@ def meshes(quick: bool) -> Iterator[Figure]:
         seconds = time.perf_counter() - began
         yield from mesh_figures(f"{name}, columns", preset(name.split()[0]), finger)
         yield at_most(f"{name}, columns: build time", seconds, "s", BUILD_LIMIT[name], f"{len(finger.nodes)} nodes")
+    with pressed_monkey() as study:
+        solid = preset("monkey")
+        yield from mesh_figures("monkey, refined for line, receptor and nail", solid, mesh_of(study, solid, _foci(study, solid)))
     if not quick:
         began = time.perf_counter()
         finger = build_finger(preset("monkey"), Resolution(1.0), mesher="nested")
@@ -239,8 +241,7 @@ def convergence(quick: bool) -> Iterator[Figure]:
     with pressed_monkey() as study:
         focus = _foci(study, solid)
         steps = (1, 2) if quick else (1, 2, 3)
-        fine = [tuple(_finer(one, step) for one in (*focus, *nail_rim(solid, LADDER_RIM))) for step in steps]
-        rungs = [Answers.on(study, solid, ladder(solid, step, COARSE, refined)) for step, refined in zip(steps, fine, strict=True)]
+        rungs = [Answers.on(study, solid, ladder(solid, step, COARSE, tuple(_finer(one, step) for one in focus))) for step in steps]
         paper = Answers.on(study, solid, mesh_of(study, solid, focus))
     sizes = ", ".join(str(rung.nodes) for rung in rungs)
     for name in rungs[0].numbers():
@@ -258,7 +259,7 @@ def convergence(quick: bool) -> Iterator[Figure]:
 
 
 def _finer(focus: Focus, step: int) -> Focus:
-    return dataclasses.replace(focus, size=2.0 * focus.size / step)
+    return dataclasses.replace(focus, size=2.5 * focus.size / step)
 
 
 def extrapolated(values: np.ndarray) -> tuple[float, float, float]:

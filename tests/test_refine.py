@@ -11,9 +11,11 @@ from test_columns import check, skin
 
 from fingerjax.errors import InputError
 from fingerjax.finger import Finger
+from fingerjax.forward.shape import nail_rim
 from fingerjax.geometry.presets import preset
 from fingerjax.geometry.sections import LayeredSolid
-from fingerjax.mesh import Focus, finger_from_columns
+from fingerjax.layers import SOFT_LAYERS
+from fingerjax.mesh import Focus, Resolution, build_finger, finger_from_columns
 from fingerjax.mesh.columns import Columns, columns
 from fingerjax.mesh.refine import allowed_edge, refine
 from fingerjax.mesh.topology import edges
@@ -74,6 +76,14 @@ def test_elements_are_short_in_depth_too() -> None:
     below = site + np.array([0.0, 0.5, 0.0])
     nearest = np.argmin(np.linalg.norm(mesh.vertices[mesh.tets].mean(axis=1) - below, axis=1))
     assert length[nearest] < 4 * POINT.size
+
+
+def test_vertices_that_had_to_wait_are_put_onto_their_interface() -> None:
+    """Along the nail's rim edges are so long that one cut alone would fold the thin layer below it."""
+    solid = preset("monkey")
+    finger = build_finger(solid, Resolution(), nail_rim(solid, 1.0))
+    assert finger.quality["on_chord"] == 0
+    assert all(abs(finger.quality["volume_error"][layer]) < 0.003 for layer in SOFT_LAYERS)
 
 
 def test_no_focus_changes_nothing() -> None:

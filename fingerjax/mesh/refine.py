@@ -22,6 +22,8 @@ from fingerjax.mesh.columns import INSIDE, Columns
 from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
 PASSES = 400
+ROUNDS = 4  # in which elements are cut that keep a vertex from its interface
+LEAST = 0.2  # of an element's volume, that a vertex put onto its interface must leave it
 FLATTEST = 0.02  # of a cut element's volume, that each half must keep: on the chord it is a half
 
 
@@ -114,15 +116,43 @@ def refine(mesh: Columns, focus: tuple[Focus, ...]) -> Columns:
                 seen=one.z,
                 remedy=f"stay between 0 and {solid.length:g} mm",
             )
+    rounds = 0
     for _ in range(PASSES):
         pairs, of = edges(mesh.tets, len(mesh.vertices))
         length = np.linalg.norm(np.diff(mesh.vertices[pairs], axis=1)[:, 0], axis=1)
         wanted = _too_long(mesh, focus, length[of])
         if not wanted.any():
+            mesh, wanted = _put_back(mesh)
+            rounds += 1
+        if not wanted.any() or rounds > ROUNDS:
             break
         mesh = _bisected(mesh, pairs, of, _terminal(length, of, wanted))
     corners = boundary(mesh.tets)
     return dataclasses.replace(mesh, skin=corners[(mesh.t[corners] == 0.0).all(axis=1)])
+
+
+def _put_back(mesh: Columns) -> tuple[Columns, np.ndarray]:
+    """The mesh with vertices that were left on a chord put onto their interface, and `(e,)` bool: elements that kept some from it.
+
+    An edge of the skin is cut before the one below it, or after: for a while the sag of the one is more than the thickness between. Left
+    there, such vertices make a thin layer thicker than it is.
+    """
+    soft = mesh.t < INSIDE
+    true = mesh.vertices.copy()
+    true[soft] = mesh.rays.position(mesh.feet[soft], mesh.t[soft])
+    moved = np.linalg.norm(true - mesh.vertices, axis=1) > 1e-9 * mesh.rays.solid.length
+    least, blocking = LEAST * signed_volumes(mesh.vertices, mesh.tets), np.zeros(len(mesh.tets), bool)
+    while True:
+        vertices = np.where(moved[:, None], true, mesh.vertices)
+        folded = signed_volumes(vertices, mesh.tets) < least
+        back = np.zeros(len(moved), bool)
+        back[mesh.tets[folded]] = True
+        if not (back & moved).any():
+            break
+        blocking |= folded & moved[mesh.tets].any(axis=1)
+        moved &= ~back
+    left = int(np.sum(np.linalg.norm(true - vertices, axis=1) > 1e-9 * mesh.rays.solid.length))
+    return dataclasses.replace(mesh, vertices=vertices, notes=mesh.notes | {"on_chord": left}), blocking
 
 
 def _too_long(mesh: Columns, focus: tuple[Focus, ...], length: np.ndarray) -> np.ndarray:
@@ -182,7 +212,6 @@ def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray)
         feet=np.concatenate([mesh.feet, feet]),
         t=np.concatenate([mesh.t, t]),
         vertices=vertices,
-        notes=mesh.notes | {"on_chord": mesh.notes.get("on_chord", 0) + len(on_chord)},
         tets=np.concatenate([mesh.tets[keep], first, second]),
         layer=np.concatenate([mesh.layer[keep], np.tile(mesh.layer[element], 2)]),
     )
