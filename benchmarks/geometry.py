@@ -337,7 +337,9 @@ TEXT = """# Geometry: how exact the doors are, and how far answers are from conv
 
 The replica is synthetic: the human preset, photographed by `fingerjax.geometry.replica`. Ladders and scatter are of the monkey preset,
 with layers in the ratios of m43338: a line of 0.05 mm across the finger and a plate 0.8 mm deep, a bar of 3 mm 0.8 mm deep over a
-receptor 0.75 mm below the skin. Written by `python -m benchmarks.geometry --write`.
+receptor 0.75 mm below the skin, where the dermis ends; on an interface a receptor is read in the outer layer. A finger whose bone hangs
+from the nail is meshed more finely along the nail's rim, where most of the error in forces is. Written by
+`python -m benchmarks.geometry --write`.
 
 {table}
 
