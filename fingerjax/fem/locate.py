@@ -34,21 +34,22 @@ class Locator:
         place = np.round(point, 3).tolist()
         raise ValueError(f"the point {place} mm lies outside the meshed tissue; check the receptor's depth and site")
 
-    def within(self, point: np.ndarray, distance: float) -> list[int]:
-        """The elements that hold the point (3,), or none of whose faces' planes leaves it more than `distance`, mm, outside."""
+    def within(self, point: np.ndarray, distance: float, among: np.ndarray) -> list[int]:
+        """Elements of those marked in `among` (e,) none of whose faces' planes leaves a point (3,) more than `distance`, mm, outside."""
         found = []
-        for candidate, local in self._candidates(point):
+        for candidate, local in self._candidates(point, among):
             ways = element.CORNER_SLOPES @ self._inverse[candidate]  # of the four barycentric coordinates, 1/mm
             outside = -element.barycentric(local[None])[0] / np.linalg.norm(ways, axis=1)
             if outside.max() <= distance:
                 found.append(candidate)
         return found
 
-    def _candidates(self, point: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    def _candidates(self, point: np.ndarray, among: np.ndarray | None = None) -> Iterator[tuple[int, np.ndarray]]:
         """Elements by how far inside their straight corners the point lies, with its place in each."""
         reference = np.einsum("eij,ej->ei", self._inverse, point - self._first)
         worst = element.barycentric(reference).min(axis=1)
-        for candidate in np.argsort(-worst)[:NEAREST]:
+        near = np.argsort(-worst)[:NEAREST]
+        for candidate in near if among is None else near[among[near]]:
             yield int(candidate), _undo_map(self.nodes[self.tets[candidate]], self.order, point, reference[candidate])
 
 

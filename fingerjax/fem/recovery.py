@@ -80,7 +80,7 @@ class Recovery:
     def _holding(self, point: np.ndarray) -> int:
         """The element that holds a point; where it is nearer than `ON_INTERFACE` to a layer farther out, the nearest of that layer."""
         holds, _ = self.locate(point)
-        near = [element for element in self.locate.within(point, ON_INTERFACE) if self.layer[element] < self.layer[holds]]
+        near = self.locate.within(point, ON_INTERFACE, self.layer < self.layer[holds])
         return min(near, key=lambda element: self.layer[element], default=holds)
 
     def _columns(self, found: list[tuple[np.ndarray, np.ndarray, int]]) -> sp.csc_matrix:
