@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 
 from . import element
 
-NEAREST = 24  # elements that are tried
+SAG = 0.1  # mm that a face may bulge beyond its straight edges
 INSIDE = 1e-6  # barycentric slack for a point on a face
 
 
@@ -37,19 +38,28 @@ class Locator:
     def within(self, point: np.ndarray, distance: float, among: np.ndarray) -> list[int]:
         """Elements of those marked in `among` (e,) none of whose faces' planes leaves a point (3,) more than `distance`, mm, outside."""
         found = []
-        for candidate, local in self._candidates(point, among):
-            ways = element.CORNER_SLOPES @ self._inverse[candidate]  # of the four barycentric coordinates, 1/mm
-            outside = -element.barycentric(local[None])[0] / np.linalg.norm(ways, axis=1)
-            if outside.max() <= distance:
-                found.append(candidate)
+        for candidate in np.flatnonzero(among & (self._outside(point) <= SAG)):
+            reference = self._inverse[candidate] @ (point - self._first[candidate])
+            local = _undo_map(self.nodes[self.tets[candidate]], self.order, point, reference)
+            if (-element.barycentric(local[None])[0] / self._steepness[candidate]).max() <= distance:
+                found.append(int(candidate))
         return found
 
-    def _candidates(self, point: np.ndarray, among: np.ndarray | None = None) -> Iterator[tuple[int, np.ndarray]]:
+    @cached_property
+    def _steepness(self) -> np.ndarray:
+        """How fast the barycentric coordinates change, (e, 4) 1/mm."""
+        return np.linalg.norm(element.CORNER_SLOPES @ self._inverse, axis=2)
+
+    def _outside(self, point: np.ndarray) -> np.ndarray:
+        """By how much the point lies beyond the worst face of each element with straight edges, (e,) mm."""
+        reference = np.einsum("eij,ej->ei", self._inverse, point - self._first)
+        return (-element.barycentric(reference) / self._steepness).max(axis=1)
+
+    def _candidates(self, point: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Elements by how far inside their straight corners the point lies, with its place in each."""
         reference = np.einsum("eij,ej->ei", self._inverse, point - self._first)
         worst = element.barycentric(reference).min(axis=1)
-        near = np.argsort(-worst)[:NEAREST]
-        for candidate in near if among is None else near[among[near]]:
+        for candidate in np.argsort(-worst)[:24]:
             yield int(candidate), _undo_map(self.nodes[self.tets[candidate]], self.order, point, reference[candidate])
 
 
