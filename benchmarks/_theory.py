@@ -79,8 +79,8 @@ def punch(quick: bool) -> Iterator[Figure]:
     """A flat-ended cylinder on a layer bonded below, against the integral equation of Lebedev & Ufliand (1958)."""
     exact, tissue = punch_on_layer(), material(dict.fromkeys(SOFT_LAYERS, E), NU)
     shape, origin = from_spec("flat_cylinder", {"radius": RADIUS}), np.array([[0.0, 3.0]])
-    for across in (16,) if quick else (16, 24, 28):
-        finger = block((6.0, THICK, 6.0), (across, 4, across))
+    for across in (12,) if quick else (12, 24, 36):
+        finger = block((6.0, THICK, 6.0), (across, across // 3, across))
         sequence = prepare(finger, shape, origin, TRAVEL, bone="held")
         pushed = sequence.press(sequence.condense(tissue).held.matrix, shape, travel=TRAVEL)
         check(sequence, pushed)

@@ -51,12 +51,11 @@ STEPS = {"step 1": 0.45, "step 3": 1.55, "step 5": 3.13}  # mm: half wavelengths
 
 def other_program(quick: bool) -> Iterator[Figure]:
     """Forces of a plate and a bar on one finger of straight elements, here and by scikit-fem with a penalty, on finer and finer meshes."""
-    resolutions = ((0.7, 2.1),) if quick else ((0.7, 2.1), (0.35, 1.2), (0.25, 1.2))
-    for pad_mm, proximal in resolutions:
-        finger = straightened(build_finger(SOLID, Resolution(pad_mm, proximal)))
+    for resolution in (Resolution(0.7, 2.1),) if quick else (Resolution(0.7, 2.1), Resolution(0.35, 1.2), FINE):
+        finger = straightened(build_finger(SOLID, resolution))
         other = Penalty(finger, np.asarray(LAYERED.youngs_modulus), np.asarray(LAYERED.poisson_ratio))
         for name, shape in {"plate": FlatPlate(), "bar, 0.3 mm edges": ROUNDED}.items():
-            yield from compared(f"{name}, 0.8 mm deep, {len(finger.nodes)} nodes", other, shape, goal=pad_mm == 0.25)
+            yield from compared(f"{name}, 0.8 mm deep, {len(finger.nodes)} nodes", other, shape, goal=resolution == FINE)
 
 
 def compared(name: str, other: Penalty, shape: AbstractIndenter, goal: bool) -> Iterator[Figure]:
