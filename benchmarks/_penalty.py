@@ -142,7 +142,8 @@ class Penalty:
         """(n, k) mm/N: displacements under a unit force on each of these unknowns."""
         load = np.zeros((self.K.shape[0], len(loaded)))
         load[loaded, np.arange(len(loaded))] = 1.0
-        return pypardiso.spsolve(self.K, load) if pypardiso is not None else self._factor.solve(load)
+        moved = pypardiso.spsolve(self.K, load) if pypardiso is not None else self._factor.solve(load)
+        return moved.reshape(load.shape)  # pypardiso flattens a single column
 
     @cached_property
     def _factor(self) -> spla.SuperLU:
