@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from fingerjax.forward import meshed
+from fingerjax.forward import meshed, model
 from fingerjax.forward.shape import RIM
+from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh.contour import beyond
 from fingerjax.runners import diagnosing
 from fingerjax.study import Study
@@ -54,3 +56,14 @@ def test_elements_are_as_small_as_the_nodes_allow(tmp_path: Path) -> None:
     whole = diagnosing._nodes(one, 1.0, True)
     size = diagnosing._size(one, int(0.5 * whole), 1.0, whole)
     assert size > 1.0 and 0.25 * whole < diagnosing._nodes(one, size, True) < 0.65 * whole
+
+
+def test_a_mesh_whose_layers_are_too_large_or_small_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, heard = study(tmp_path, "rigid", {"pad_mm": 0.9, "proximal_mm": 1.8}), []
+    _, finger = meshed(one, tell=lambda _, what: heard.append(what))
+    assert heard == ["meshing"]
+    off = finger.quality["volume_error"]
+    worst = max(SOFT_LAYERS, key=lambda layer: abs(off[layer]))
+    monkeypatch.setattr(model, "VOLUME", 0.5 * abs(off[worst]))
+    meshed(one, tell=lambda _, what: heard.append(what))
+    assert f"its {worst} is {100 * abs(off[worst]):.1f} %" in heard[-1] and "proximal_mm" in heard[-1]

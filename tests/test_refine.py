@@ -78,10 +78,11 @@ def test_elements_are_short_in_depth_too() -> None:
     assert length[nearest] < 4 * POINT.size
 
 
-def test_vertices_that_had_to_wait_are_put_onto_their_interface() -> None:
+@pytest.mark.parametrize(("resolution", "rim"), [(Resolution(), 1.0), (Resolution(1.2, 1.8), 1.2)])
+def test_vertices_that_had_to_wait_are_put_onto_their_interface(resolution: Resolution, rim: float) -> None:
     """Along the nail's rim edges are so long that one cut alone would fold the thin layer below it."""
     solid = preset("monkey")
-    finger = build_finger(solid, Resolution(), nail_rim(solid, 1.0))
+    finger = build_finger(solid, resolution, nail_rim(solid, rim))
     assert finger.quality["on_chord"] == 0
     assert all(abs(finger.quality["volume_error"][layer]) < 0.003 for layer in SOFT_LAYERS)
 

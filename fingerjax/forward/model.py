@@ -25,7 +25,7 @@ from ..fem.operator import Lame
 from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
 from ..geometry.solid import AbstractSolid
-from ..layers import LAYERS
+from ..layers import LAYERS, SOFT_LAYERS
 from ..measure.afferent import start
 from ..measurements import Measurement
 from ..parameters import Parameter
@@ -37,6 +37,7 @@ from .rigs import Skin, foci, lay, plans, tips
 from .shape import Tell, mesh_of, solid_of, unheard
 from .wiring import Prior, Values, Wiring, priors, wiring
 
+VOLUME = 0.01  # share by which a layer of the mesh may be larger or smaller than the finger's before it is told
 ASSUMED_NOISE = 0.02  # of a measurement's largest value, where nobody says how noisy it is
 
 
@@ -258,7 +259,20 @@ def meshed(
     tell(0.9, "meshing")
     asked = study.finger.resolution
     fine = foci(planned, solid, asked.pad_mm, asked.least_mm or 0.0) if focused else tips(planned, solid, size * asked.pad_mm)
-    return solid, mesh_of(study, solid, fine, size, even)
+    finger = mesh_of(study, solid, fine, size, even)
+    if coarse := _too_coarse(finger):
+        tell(1.0, coarse)
+    return solid, finger
+
+
+def _too_coarse(finger: Finger) -> str:
+    """What to say of a mesh with a soft layer of another volume than the finger's; nothing where there is none."""
+    off = {layer: finger.quality.get("volume_error", {}).get(layer, 0.0) for layer in SOFT_LAYERS}
+    worst = max(off, key=lambda layer: abs(off[layer]))
+    if abs(off[worst]) <= VOLUME:
+        return ""
+    more = "larger" if off[worst] > 0 else "smaller"
+    return f"the mesh is too coarse: its {worst} is {100 * abs(off[worst]):.1f} % {more} than the finger's; ask for a smaller proximal_mm"
 
 
 def lay_out(

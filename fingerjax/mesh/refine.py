@@ -23,7 +23,7 @@ from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
 PASSES = 400
 ROUNDS = 4  # in which elements are cut that keep a vertex from its interface
-LEAST = 0.2  # of an element's volume, that a vertex put onto its interface must leave it
+LEAST = 0.07  # of an element's volume, that a vertex put onto its interface must leave it
 FLATTEST = 0.02  # of a cut element's volume, that each half must keep: on the chord it is a half
 
 
