@@ -37,9 +37,10 @@ def longest_at_rim(one: Study, even: bool) -> float:
 def test_the_rim_is_fine_where_the_bone_hangs_from_the_nail(tmp_path: Path) -> None:
     for bone in ("rigid", "held"):
         (tmp_path / bone).mkdir()
-    hung, held = study(tmp_path / "rigid", "rigid"), study(tmp_path / "held", "held")
+    coarser = {"pad_mm": 0.9, "proximal_mm": 2.4}
+    hung, held = study(tmp_path / "rigid", "rigid", coarser), study(tmp_path / "held", "held", coarser)
     fine = longest_at_rim(hung, True)
-    assert fine <= 2 * 0.8 * COARSE["pad_mm"] * (1 + 1e-9)
+    assert fine <= 2 * 0.8 * coarser["pad_mm"] * (1 + 1e-9)
     assert longest_at_rim(held, True) > fine and longest_at_rim(hung, False) > fine
 
 

@@ -32,7 +32,7 @@ from ..study import Study
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
 COARSEST = 1.6  # of the resolution that was asked for
 EVEN = 2.0  # largest node spacing over the pad's, of an even mesh
-ROUND, ROUND_FAR = 4.0, 10.0 / 3.0  # node spacings to a finger's largest radius, at least, of an even mesh: at the pad, and far from it
+ROUND = 4.0  # node spacings to a finger's largest radius, at least, of an even mesh
 RIM = 2.0 / 3.0  # of the coarsest spacing: nodes along the rim of the nail
 EVEN_RIM = 0.8  # of the pad's spacing: the same of an even mesh
 Tell = Callable[[float, str], object]
@@ -97,8 +97,8 @@ def mesh_of(
     pad, coarsest = said.resolution.pad_mm, said.resolution.proximal_mm
     resolution = Resolution(everywhere * pad, everywhere * (min(coarsest, EVEN * pad) if even else coarsest))
     if even:  # as round as a finger must be to be meshed at all
-        radius = solid.largest_radius
-        resolution = Resolution(min(resolution.pad, radius / ROUND), min(resolution.coarsest, radius / ROUND_FAR))
+        round_ = solid.largest_radius / ROUND
+        resolution = Resolution(min(resolution.pad, round_), min(resolution.coarsest, EVEN * round_))
     focus = tuple(dataclasses.replace(one, size=one.size * (wedge if one.kind == "line" else size)) for one in focus)
     if study.model.bone_kind() == "rigid":
         focus += nail_rim(solid, size * EVEN_RIM * pad if even else RIM * resolution.coarsest)

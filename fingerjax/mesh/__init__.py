@@ -35,7 +35,7 @@ DEFAULT = Resolution()
 MESHER = "columns 2"  # part of every key: raise it when the same input would give another mesh
 NESTED = "nested 2"
 PAPER = {"monkey": Resolution(), "monkey fine": Resolution(0.17, 1.0), "human": Resolution(0.9)}  # about 8,500, 29,000 and 8,500 nodes
-REFINER = "chords 5"  # the same for refined meshes alone
+REFINER = "chords 6"  # the same for refined meshes alone
 
 
 def build_finger(

@@ -19,11 +19,12 @@ from scipy.spatial import cKDTree
 from fingerjax.errors import InputError
 from fingerjax.geometry.sections import LayeredSolid
 from fingerjax.mesh.columns import INSIDE, Columns
-from fingerjax.mesh.topology import boundary, edges, signed_volumes
+from fingerjax.mesh.jacobian import volumes
+from fingerjax.mesh.topology import boundary, edges, quadratic, signed_volumes
 
 PASSES = 400
-ROUNDS = 4  # in which elements are cut that keep a vertex from its interface
-LEAST = 0.07  # of an element's volume, that a vertex put onto its interface must leave it
+ROUNDS = 12  # in which elements are cut that are flat or folded but for their curved edges
+LEAST = 0.07  # of an element's volume, that it must have with straight edges
 FLATTEST = 0.02  # of a cut element's volume, that each half must keep: on the chord it is a half
 
 
@@ -116,43 +117,46 @@ def refine(mesh: Columns, focus: tuple[Focus, ...]) -> Columns:
                 seen=one.z,
                 remedy=f"stay between 0 and {solid.length:g} mm",
             )
-    rounds = 0
+    refined = _refined(mesh, focus, 0.0)
+    if (signed_volumes(refined.vertices, refined.tets) <= 0).any():
+        refined = _refined(mesh, focus, FLATTEST)
+    corners, left = boundary(refined.tets), _on_chord(refined)
+    skin = corners[(refined.t[corners] == 0.0).all(axis=1)]
+    return dataclasses.replace(refined, skin=skin, notes=refined.notes | {"on_chord": left})
+
+
+def _refined(mesh: Columns, focus: tuple[Focus, ...], flattest: float) -> Columns:
+    """The same without its skin. `flattest`: see `_bisected`."""
+    rounds = ROUNDS if focus and not flattest else 0
     for _ in range(PASSES):
         pairs, of = edges(mesh.tets, len(mesh.vertices))
         length = np.linalg.norm(np.diff(mesh.vertices[pairs], axis=1)[:, 0], axis=1)
         wanted = _too_long(mesh, focus, length[of])
+        if not wanted.any() and rounds:
+            wanted, rounds = _flat(mesh), rounds - 1
         if not wanted.any():
-            mesh, wanted = _put_back(mesh)
-            rounds += 1
-        if not wanted.any() or rounds > ROUNDS:
             break
-        mesh = _bisected(mesh, pairs, of, _terminal(length, of, wanted))
-    corners = boundary(mesh.tets)
-    return dataclasses.replace(mesh, skin=corners[(mesh.t[corners] == 0.0).all(axis=1)])
+        mesh = _bisected(mesh, pairs, of, _terminal(length, of, wanted), flattest)
+    return mesh
 
 
-def _put_back(mesh: Columns) -> tuple[Columns, np.ndarray]:
-    """The mesh with vertices that were left on a chord put onto their interface, and `(e,)` bool: elements that kept some from it.
-
-    An edge of the skin is cut before the one below it, or after: for a while the sag of the one is more than the thickness between. Left
-    there, such vertices make a thin layer thicker than it is.
-    """
+def _on_chord(mesh: Columns) -> int:
+    """How many vertices are not on their interface."""
     soft = mesh.t < INSIDE
-    true = mesh.vertices.copy()
-    true[soft] = mesh.rays.position(mesh.feet[soft], mesh.t[soft])
-    moved = np.linalg.norm(true - mesh.vertices, axis=1) > 1e-9 * mesh.rays.solid.length
-    least, blocking = LEAST * signed_volumes(mesh.vertices, mesh.tets), np.zeros(len(mesh.tets), bool)
-    while True:
-        vertices = np.where(moved[:, None], true, mesh.vertices)
-        folded = signed_volumes(vertices, mesh.tets) < least
-        back = np.zeros(len(moved), bool)
-        back[mesh.tets[folded]] = True
-        if not (back & moved).any():
-            break
-        blocking |= folded & moved[mesh.tets].any(axis=1)
-        moved &= ~back
-    left = int(np.sum(np.linalg.norm(true - vertices, axis=1) > 1e-9 * mesh.rays.solid.length))
-    return dataclasses.replace(mesh, vertices=vertices, notes=mesh.notes | {"on_chord": left}), blocking
+    off = mesh.rays.position(mesh.feet[soft], mesh.t[soft]) - mesh.vertices[soft]
+    return int((np.linalg.norm(off, axis=1) > 1e-9 * mesh.rays.solid.length).sum())
+
+
+def _flat(mesh: Columns) -> np.ndarray:
+    """`(e,)` bool: elements that are flat or folded but for their curved edges.
+
+    An edge of the skin is cut before the one below it, or after: for a while the sag of the one is more than the thickness between. Curved
+    edges hold such elements open; cut again, they open themselves.
+    """
+    pairs, _ = edges(mesh.tets, len(mesh.vertices))
+    nodes, curved, _ = quadratic(mesh.vertices, mesh.tets, mesh.midpoints(pairs)[2])
+    flat = signed_volumes(mesh.vertices, mesh.tets) < LEAST * np.abs(volumes(nodes, curved))
+    return np.asarray(flat & (mesh.t[mesh.tets] < INSIDE).all(axis=1))
 
 
 def _too_long(mesh: Columns, focus: tuple[Focus, ...], length: np.ndarray) -> np.ndarray:
@@ -188,8 +192,12 @@ def _terminal(length: np.ndarray, of: np.ndarray, wanted: np.ndarray) -> np.ndar
     return np.flatnonzero(marked)
 
 
-def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray) -> Columns:
-    """The mesh with the edges `cut` halved; no element has two of them."""
+def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray, flattest: float) -> Columns:
+    """The mesh with the edges `cut` halved; no element has two of them.
+
+    A new vertex lies on its interface; but where that would leave a half of an element less than this share of its volume, and `flattest`
+    is not 0, on the chord: a finger whose edges are nearly as long as it is wide cannot be refined otherwise.
+    """
     feet, t, position = mesh.midpoints(pairs[cut])
     number = np.full(len(pairs), -1)
     number[cut] = len(mesh.vertices) + np.arange(len(cut))
@@ -202,11 +210,11 @@ def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray)
     keep = np.ones(len(mesh.tets), bool)
     keep[element] = False
     vertices = np.concatenate([mesh.vertices, position])
-    # Where edges are long beside the radius of an interface, a vertex put onto it can fold an element: it stays on its chord there.
-    least = FLATTEST * signed_volumes(mesh.vertices, old)
-    folded = np.minimum(signed_volumes(vertices, first), signed_volumes(vertices, second)) < least
-    on_chord = np.unique(new[folded])
-    vertices[on_chord] = mesh.vertices[pairs[cut[on_chord - len(mesh.vertices)]]].mean(axis=1)
+    if flattest:
+        least = flattest * signed_volumes(mesh.vertices, old)
+        folded = np.minimum(signed_volumes(vertices, first), signed_volumes(vertices, second)) < least
+        on_chord = np.unique(new[folded])
+        vertices[on_chord] = mesh.vertices[pairs[cut[on_chord - len(mesh.vertices)]]].mean(axis=1)
     return dataclasses.replace(
         mesh,
         feet=np.concatenate([mesh.feet, feet]),
