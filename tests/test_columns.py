@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fingerjax import mesh
 from fingerjax.errors import InputError
 from fingerjax.finger import Finger
 from fingerjax.geometry.presets import preset
@@ -25,7 +26,7 @@ from fingerjax.mesh.quality import dihedral_angles, figures, radius_ratios, tabl
 from fingerjax.mesh.topology import EDGES, boundary, faces, prism_tets, quadratic, signed_volumes
 
 DATA = Path(os.environ.get("FINGERJAX_DATA", Path(__file__).parents[2] / "shared" / "data"))
-COARSE = Resolution(0.8, 1.5)  # edges half as long as the radius; of six with 0.8 of it two had a folded facet or a layer too thick
+COARSE = Resolution(0.8, 1.5)  # edges half as long as the finger's radius; at 0.8 of it a mesh in six has midsides off its skin
 ROUNDEST = 2.0  # mm: less than the radius of any curve that an edge of eight such meshes spans, 2.7 mm and more
 
 
@@ -95,6 +96,20 @@ def test_what_is_held_has_the_area_of_the_nail() -> None:
     assert area(finger.nodes, held) == pytest.approx(nail_area(solid), rel=0.05)
     rim = np.abs(beyond(solid, finger.nodes[np.unique(held)])) < 1e-6
     assert rim.sum() >= 8
+
+
+def test_a_skin_that_touches_itself_is_made_again_and_refused_in_the_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    sound = np.array([[0, 1, 2], [2, 1, 3]])
+    touching = np.array([[0, 1, 2], [2, 1, 3], [1, 2, 4], [2, 1, 5]])  # four triangles at one edge
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(mesh, "skin_triangles", lambda solid, resolution: (np.zeros((6, 3)), touching))
+    monkeypatch.setattr(mesh, "smoothed", lambda rays, points, triangles: (points, triangles))
+    monkeypatch.setattr(mesh, "outlined", lambda rays, points, triangles: (points, triangles))
+    with pytest.raises(InputError, match="proximal_mm"):
+        mesh._skin(preset("monkey"), COARSE, "refused")
+    made = iter([touching, touching, sound])
+    monkeypatch.setattr(mesh, "outlined", lambda rays, points, triangles: (points, next(made)))
+    np.testing.assert_array_equal(mesh._skin(preset("monkey"), COARSE, "found")["triangles"], sound)
 
 
 def test_triangles_are_cut_along_the_nail_and_stay_conforming() -> None:

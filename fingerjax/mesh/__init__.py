@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from fingerjax.errors import InputError
 from fingerjax.finger import Finger
 from fingerjax.geometry.sections import LayeredSolid
 from fingerjax.layers import BONE
@@ -26,7 +27,7 @@ from fingerjax.mesh.nested import nested
 from fingerjax.mesh.quality import figures
 from fingerjax.mesh.refine import Focus, refine
 from fingerjax.mesh.smooth import outlined, smoothed
-from fingerjax.mesh.surface import Resolution, skin_triangles
+from fingerjax.mesh.surface import Resolution, is_surface, skin_triangles
 from fingerjax.mesh.topology import divided, edges, quadratic, quadratic_triangles
 
 __all__ = ["PAPER", "Focus", "Resolution", "build_finger", "build_like", "cache_dir", "ladder"]
@@ -35,6 +36,7 @@ DEFAULT = Resolution()
 MESHER = "columns 2"  # part of every key: raise it when the same input would give another mesh
 NESTED = "nested 2"
 PAPER = {"monkey": Resolution(), "monkey fine": Resolution(0.17, 1.0), "human": Resolution(0.9)}  # about 8,500, 29,000 and 8,500 nodes
+TRIES = 5  # triangulations of a skin before it is given up
 REFINER = "chords 6"  # the same for refined meshes alone
 
 
@@ -97,12 +99,23 @@ def _carried(solid: LayeredSolid, model: LayeredSolid, resolution: Resolution, k
 
 
 def _skin(solid: LayeredSolid, resolution: Resolution, base: str) -> Arrays:
-    """The triangulated skin of a solid, kept."""
+    """The triangulated skin of a solid, kept.
+
+    Coarse triangles may touch each other; as pytetwild never makes the same ones twice, it is asked again.
+    """
 
     def skin() -> Arrays:
         rays = Rays(solid)
-        points, triangles = outlined(rays, *smoothed(rays, *skin_triangles(solid, resolution)))
-        return {"points": points, "triangles": triangles}
+        for _ in range(TRIES):
+            points, triangles = outlined(rays, *smoothed(rays, *skin_triangles(solid, resolution)))
+            if is_surface(triangles):
+                return {"points": points, "triangles": triangles}
+        raise InputError(
+            "the skin could not be triangulated: parts of it touch each other",
+            place="resolution",
+            seen=(resolution.pad, resolution.coarsest),
+            remedy=f"write a proximal_mm of {0.25 * solid.largest_radius:.2g} or less",
+        )
 
     return kept(f"{base}-skin", skin)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from fingerjax.errors import InputError
 from fingerjax.geometry.sections import LayeredSolid
-from fingerjax.mesh.topology import boundary, kuhn_tets
+from fingerjax.mesh.topology import TRIANGLE_EDGES, boundary, kuhn_tets
 
 GROWTH = 0.6  # mm of edge per mm from the pad
 OVERSHOOT = (
@@ -144,6 +144,12 @@ def skin_triangles(solid: LayeredSolid, resolution: Resolution) -> tuple[np.ndar
             bg_values=OVERSHOOT * edge_length(solid, resolution, box),
         )
     return _without_cut(np.asarray(vertices, float), boundary(np.asarray(tets, np.int64)), 2.0 * envelope)
+
+
+def is_surface(triangles: np.ndarray) -> bool:
+    """Whether no edge of the triangles `(f, 3)` has more than two of them, as on a surface that does not touch itself."""
+    sides = np.sort(triangles[:, TRIANGLE_EDGES].reshape(-1, 2), axis=1)
+    return int(np.unique(sides, axis=0, return_counts=True)[1].max(initial=0)) <= 2
 
 
 def _without_cut(points: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
