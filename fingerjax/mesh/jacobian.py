@@ -28,6 +28,8 @@ def _walkington() -> tuple[np.ndarray, np.ndarray]:
 
 POINTS, WEIGHTS = _walkington()
 CORNERS = np.eye(4)
+EVERYWHERE = np.concatenate([POINTS, CORNERS])
+WORST = 0.05  # of an element's straight determinant, that none of its own may be below
 
 
 def gradients(points: np.ndarray) -> np.ndarray:
@@ -50,7 +52,7 @@ def volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return determinants(nodes, tets) @ WEIGHTS / 6.0
 
 
-def relaxed(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05) -> tuple[np.ndarray, int]:
+def relaxed(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = WORST) -> tuple[np.ndarray, int]:
     """Nodes with midsides pulled straight where an element is nearly turned inside out, and how many midsides
     were.
 
@@ -63,16 +65,15 @@ def relaxed(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05
     return nodes, int(np.sum(pull > 0))
 
 
-def pulled(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+def pulled(nodes: np.ndarray, tets: np.ndarray, count: int, worst: float = WORST) -> tuple[np.ndarray, np.ndarray]:
     """As `relaxed`; and for each midside the share of the way to straight that it was pulled."""
     pairs, _ = edges(tets[:, :4], count)
     straight = nodes[pairs].mean(axis=1)
     nodes, left = nodes.copy(), np.ones(len(pairs))
-    points = np.concatenate([POINTS, CORNERS])
     flat = determinants(np.concatenate([nodes[:count], straight]), tets, POINTS[:1])[:, 0]
     suspects = np.arange(len(tets))
     for halving in itertools.count():
-        low = determinants(nodes, tets[suspects], points).min(axis=1)
+        low = determinants(nodes, tets[suspects], EVERYWHERE).min(axis=1)
         bad = tets[suspects[low < worst * flat[suspects]]]
         sides = np.unique(bad[:, 4:]) - count
         if not left[sides].any():

@@ -19,11 +19,11 @@ from scipy.spatial import cKDTree
 from fingerjax.errors import InputError
 from fingerjax.geometry.sections import LayeredSolid
 from fingerjax.mesh.columns import INSIDE, Columns
-from fingerjax.mesh.jacobian import volumes
-from fingerjax.mesh.topology import boundary, edges, quadratic, signed_volumes
+from fingerjax.mesh.jacobian import EVERYWHERE, POINTS, WEIGHTS, WORST, determinants
+from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
 PASSES = 400
-ROUNDS = 12  # in which elements are cut that are flat or folded but for their curved edges
+ROUNDS = 150  # in which elements are cut that are flat, or folded by their curved edges: hardly ever more than half of them
 LEAST = 0.07  # of an element's volume, that it must have with straight edges
 FLATTEST = 0.02  # of a cut element's volume, that each half must keep: on the chord it is a half
 
@@ -117,46 +117,67 @@ def refine(mesh: Columns, focus: tuple[Focus, ...]) -> Columns:
                 seen=one.z,
                 remedy=f"stay between 0 and {solid.length:g} mm",
             )
-    refined = _refined(mesh, focus, 0.0)
+    refined = _refined(mesh, focus, everywhere=False)
     if (signed_volumes(refined.vertices, refined.tets) <= 0).any():
-        refined = _refined(mesh, focus, FLATTEST)
-    corners, left = boundary(refined.tets), _on_chord(refined)
+        refined = _refined(mesh, focus, everywhere=True)
+    corners, left = boundary(refined.tets), int(_Found().on_chord(refined).sum())
     skin = corners[(refined.t[corners] == 0.0).all(axis=1)]
     return dataclasses.replace(refined, skin=skin, notes=refined.notes | {"on_chord": left})
 
 
-def _refined(mesh: Columns, focus: tuple[Focus, ...], flattest: float) -> Columns:
-    """The same without its skin. `flattest`: see `_bisected`."""
-    rounds = ROUNDS if focus and not flattest else 0
+def _refined(mesh: Columns, focus: tuple[Focus, ...], everywhere: bool) -> Columns:
+    """The same without its skin. `everywhere`: see `_bisected`."""
+    rounds, found = ROUNDS if focus and not everywhere else 0, _Found()
     for _ in range(PASSES):
         pairs, of = edges(mesh.tets, len(mesh.vertices))
         length = np.linalg.norm(np.diff(mesh.vertices[pairs], axis=1)[:, 0], axis=1)
         wanted = _too_long(mesh, focus, length[of])
         if not wanted.any() and rounds:
-            wanted, rounds = _flat(mesh), rounds - 1
+            wanted, rounds = _flat(mesh, pairs, of, found), rounds - 1
         if not wanted.any():
             break
-        mesh = _bisected(mesh, pairs, of, _terminal(length, of, wanted), flattest)
+        mesh = _bisected(mesh, pairs, of, _terminal(length, of, wanted), everywhere)
     return mesh
 
 
-def _on_chord(mesh: Columns) -> int:
-    """How many vertices are not on their interface."""
-    soft = mesh.t < INSIDE
-    off = mesh.rays.position(mesh.feet[soft], mesh.t[soft]) - mesh.vertices[soft]
-    return int((np.linalg.norm(off, axis=1) > 1e-9 * mesh.rays.solid.length).sum())
+class _Found:
+    """What lies on the interfaces, found once: vertices stay where they are while elements are cut."""
+
+    def __init__(self) -> None:
+        self.edge, self.position, self.off = np.empty(0, np.int64), np.empty((0, 3)), np.empty(0, bool)
+
+    def midsides(self, mesh: Columns, pairs: np.ndarray) -> np.ndarray:
+        """Positions `(m, 3)` for the edges `pairs`, `(m, 2)`, which are in order and each there once."""
+        edge = (pairs[:, 0] << 32) + pairs[:, 1]
+        position, known = np.empty((len(pairs), 3)), np.isin(edge, self.edge)
+        position[known] = self.position[np.searchsorted(self.edge, edge[known])]
+        position[~known] = mesh.midpoints(pairs[~known])[2]
+        self.edge, self.position = edge, position
+        return position
+
+    def on_chord(self, mesh: Columns) -> np.ndarray:
+        """`(n,)` bool: vertices that are not on their interface."""
+        new = slice(len(self.off), None)
+        feet, t, vertices = mesh.feet[new], mesh.t[new], mesh.vertices[new]
+        off, soft = np.zeros(len(t), bool), t < INSIDE
+        away = mesh.rays.position(feet[soft], t[soft]) - vertices[soft]
+        off[soft] = np.linalg.norm(away, axis=1) > 1e-9 * mesh.rays.solid.length
+        self.off = np.concatenate([self.off, off])
+        return self.off
 
 
-def _flat(mesh: Columns) -> np.ndarray:
-    """`(e,)` bool: elements that are flat or folded but for their curved edges.
+def _flat(mesh: Columns, pairs: np.ndarray, of: np.ndarray, found: _Found) -> np.ndarray:
+    """`(e,)` bool: elements that are flat but for their curved edges, or that these turn inside out.
 
-    An edge of the skin is cut before the one below it, or after: for a while the sag of the one is more than the thickness between. Curved
-    edges hold such elements open; cut again, they open themselves.
+    An edge of the skin is cut before the one below it, or after: for a while the sag of the one is more than the thickness between. Cut
+    again, such elements open themselves.
     """
-    pairs, _ = edges(mesh.tets, len(mesh.vertices))
-    nodes, curved, _ = quadratic(mesh.vertices, mesh.tets, mesh.midpoints(pairs)[2])
-    flat = signed_volumes(mesh.vertices, mesh.tets) < LEAST * np.abs(volumes(nodes, curved))
-    return np.asarray(flat & (mesh.t[mesh.tets] < INSIDE).all(axis=1))
+    nodes = np.concatenate([mesh.vertices, found.midsides(mesh, pairs)])
+    curved = np.concatenate([mesh.tets, of + len(mesh.vertices)], axis=1)
+    straight, own = 6.0 * signed_volumes(mesh.vertices, mesh.tets), determinants(nodes, curved, EVERYWHERE)
+    flat = (straight < LEAST * np.abs(own[:, : len(POINTS)] @ WEIGHTS)) | (own.min(axis=1) < WORST * straight)
+    free = ~found.on_chord(mesh) & (mesh.t < INSIDE)
+    return np.asarray(flat & free[mesh.tets].all(axis=1))
 
 
 def _too_long(mesh: Columns, focus: tuple[Focus, ...], length: np.ndarray) -> np.ndarray:
@@ -192,11 +213,11 @@ def _terminal(length: np.ndarray, of: np.ndarray, wanted: np.ndarray) -> np.ndar
     return np.flatnonzero(marked)
 
 
-def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray, flattest: float) -> Columns:
+def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray, everywhere: bool) -> Columns:
     """The mesh with the edges `cut` halved; no element has two of them.
 
-    A new vertex lies on its interface; but where that would leave a half of an element less than this share of its volume, and `flattest`
-    is not 0, on the chord: a finger whose edges are nearly as long as it is wide cannot be refined otherwise.
+    A new vertex lies on its interface; but where that would leave less than a share `FLATTEST` of an element of the bone's inside, or
+    `everywhere` of any element, on the chord: a finger whose edges are nearly as long as it is wide cannot be refined otherwise.
     """
     feet, t, position = mesh.midpoints(pairs[cut])
     number = np.full(len(pairs), -1)
@@ -210,11 +231,10 @@ def _bisected(mesh: Columns, pairs: np.ndarray, of: np.ndarray, cut: np.ndarray,
     keep = np.ones(len(mesh.tets), bool)
     keep[element] = False
     vertices = np.concatenate([mesh.vertices, position])
-    if flattest:
-        least = flattest * signed_volumes(mesh.vertices, old)
-        folded = np.minimum(signed_volumes(vertices, first), signed_volumes(vertices, second)) < least
-        on_chord = np.unique(new[folded])
-        vertices[on_chord] = mesh.vertices[pairs[cut[on_chord - len(mesh.vertices)]]].mean(axis=1)
+    least = FLATTEST * signed_volumes(mesh.vertices, old)
+    folded = np.minimum(signed_volumes(vertices, first), signed_volumes(vertices, second)) < least
+    on_chord = np.unique(new[folded & (everywhere | (mesh.t[old] == INSIDE).any(axis=1))])
+    vertices[on_chord] = mesh.vertices[pairs[cut[on_chord - len(mesh.vertices)]]].mean(axis=1)
     return dataclasses.replace(
         mesh,
         feet=np.concatenate([mesh.feet, feet]),
