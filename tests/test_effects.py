@@ -312,11 +312,16 @@ class DampGlove(Effect):
 """
 
 
-def test_a_laboratorys_own_effect_is_found_in_its_folder(tmp_path: Path, ready: Assembled) -> None:
+def test_a_laboratorys_own_effect_is_found_in_its_folder(tmp_path: Path) -> None:
     (tmp_path / "glove.py").write_text(OWN)
     found = {effect.name: effect for effect in catalogue(tmp_path)}
     assert set(found) - {effect.name for effect in catalogue()} == {"damp_glove"}
-    subject = FingerSubject(ready, (found["damp_glove"],))
+
+
+@pytest.mark.slow
+def test_a_laboratorys_own_effect_acts_on_the_readings_that_it_names(tmp_path: Path, ready: Assembled) -> None:
+    (tmp_path / "glove.py").write_text(OWN)
+    subject = FingerSubject(ready, tuple(effect for effect in catalogue(tmp_path) if effect.name == "damp_glove"))
     column = subject.columns(start(subject))["damp_glove.more"]
     forces = np.concatenate([np.full(n, one in ("plate", "ramp")) for one, n in zip(*_names(ready), strict=True)])
     np.testing.assert_array_equal(column, forces.astype(float))

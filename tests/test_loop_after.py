@@ -187,8 +187,9 @@ def test_false_alarms_come_as_often_as_stated() -> None:
     toy = Toy()
     base = seen(toy)
     machine = _machine(toy, base)
-    found = false_alarms(machine, seed=0, sets=200)
-    low, high = stats.binom.ppf([0.001, 0.999], 200, 0.05) / 200
+    sets = 120
+    found = false_alarms(machine, seed=0, sets=sets)
+    low, high = stats.binom.ppf([0.001, 0.999], sets, 0.05) / sets
     assert low <= found.rejected <= high
     assert low <= found.flagged <= high
     grown = planted(machine, seed=0)

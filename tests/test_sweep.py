@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from fingerjax.errors import InputError
 from fingerjax.report.records import Context, StudyResult
-from fingerjax.runners import RUNNERS
+from fingerjax.runners import RUNNERS, sweeps
 from fingerjax.study import Study, Sweep, load_studies
 
 STUDY = """\
@@ -55,6 +56,13 @@ def test_a_sweep_without_a_receptor_says_where_to_write_it(tmp_path: Path) -> No
     text = STUDY.replace(", receptor: {depth_mm: 0.75, z_mm: 8.7, theta_deg: 270}", "")
     with pytest.raises(InputError, match="place of its receptor"):
         RUNNERS["sweep"](load(tmp_path, text), Context(tmp_path))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweeps, "SPACING", 1.0)
+        yield
 
 
 @pytest.fixture(scope="module")

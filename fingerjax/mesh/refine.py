@@ -23,7 +23,7 @@ from fingerjax.mesh.jacobian import EVERYWHERE, POINTS, WEIGHTS, WORST, determin
 from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
 PASSES = 400
-ROUNDS = 150  # in which elements are cut that are flat, or folded by their curved edges: hardly ever more than half of them
+PATIENCE = 40  # rounds in which flat and folded elements are cut that may leave no fewer of them
 LEAST = 0.07  # of an element's volume, that it must have with straight edges
 FLATTEST = 0.02  # of a cut element's volume, that each half must keep: on the chord it is a half
 
@@ -126,16 +126,24 @@ def refine(mesh: Columns, focus: tuple[Focus, ...]) -> Columns:
 
 
 def _refined(mesh: Columns, focus: tuple[Focus, ...], everywhere: bool) -> Columns:
-    """The same without its skin. `everywhere`: see `_bisected`."""
-    rounds, found = ROUNDS if focus and not everywhere else 0, _Found()
+    """The same without its skin. `everywhere`: see `_bisected`.
+
+    Cutting what is flat or folded makes more of it where edges are as long as the finger is wide: the mesh that had least of it is kept.
+    """
+    found, best, least, most, patience = _Found(), mesh, math.inf, 0, PATIENCE if focus and not everywhere else 0
     for _ in range(PASSES):
         pairs, of = edges(mesh.tets, len(mesh.vertices))
         length = np.linalg.norm(np.diff(mesh.vertices[pairs], axis=1)[:, 0], axis=1)
         wanted = _too_long(mesh, focus, length[of])
-        if not wanted.any() and rounds:
-            wanted, rounds = _flat(mesh, pairs, of, found), rounds - 1
         if not wanted.any():
-            break
+            if not patience:
+                break
+            wanted, folded = _flat(mesh, pairs, of, found), (signed_volumes(mesh.vertices, mesh.tets) <= 0).sum()
+            left = wanted.sum() + len(wanted) * folded
+            best, least, patience = (mesh, left, PATIENCE) if left < least else (best, least, patience - 1)
+            most = most or 4 * wanted.sum() + 10
+            if not patience or not 0 < wanted.sum() <= most:
+                return best
         mesh = _bisected(mesh, pairs, of, _terminal(length, of, wanted), everywhere)
     return mesh
 
