@@ -77,7 +77,7 @@ def test_drivers_need_a_preset_and_a_plate(tmp_path: Path, finger: str, shape: s
 
 def test_a_deformed_mesh_keeps_its_triangles_and_lies_on_its_own_skin() -> None:
     base, wider = solid_from_dimensions(HUMAN), solid_from_dimensions(dataclasses.replace(HUMAN, width=1.1 * HUMAN.width))
-    coarse = Resolution(2.5, 5.0)
+    coarse = Resolution(1.5, 3.0)
     one, other = build_finger(base, coarse), build_like(wider, base, coarse)
     triangles = [{frozenset(corners) for corners in finger.skin[:, :3].tolist()} for finger in (one, other)]
     assert triangles[0] == triangles[1]
