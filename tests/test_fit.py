@@ -75,6 +75,15 @@ def test_certified_values_and_deviations(case: Certified, start: int, link: str)
     assert found.chi2 == pytest.approx(case.rss, rel=1e-9)
 
 
+@pytest.mark.parametrize("name", ["MGH09", "Thurber"])
+def test_where_gauss_and_newton_are_slow_the_secant_takes_over(name: str) -> None:
+    """By Levenberg and Marquardt alone, 21 and 22 evaluations."""
+    case = next(one for one in CERTIFIED if one.name == name)
+    found = fit(certified(case, 1, "identity"))
+    assert found.result is RESULTS.successful and found.chi2 == pytest.approx(case.rss, rel=1e-9)
+    assert found.evaluations <= 12
+
+
 def test_a_fit_that_runs_away_says_so() -> None:
     found = fit(certified(BOXBOD, 0, "identity"))
     assert found.result is RESULTS.no_optimum

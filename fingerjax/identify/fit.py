@@ -30,6 +30,7 @@ from .weighing import AbstractWeighing, Loss
 
 NEAR = 1e-3  # standard errors from the optimum at which a fit that cannot go on counts as arrived
 LEVEL = 0.1  # relative gradient from which on the secant may be asked: far from an optimum it misleads
+SLOW = 0.1  # of the gradient is left after a good step of Gauss and Newton near an optimum; where more is, the secant knows better
 SEATINGS = 3  # times a settled fit is asked whether its afferents could be seated better
 REFUSED = 10  # failed evaluations in all after which a fit gives up
 
@@ -298,11 +299,12 @@ def _next(
 ) -> tuple[np.ndarray, np.ndarray | None, bool]:
     """Where to look next, where Levenberg-Marquardt would look if that comes from the secant, and whether the point was taken.
 
-    The secant is asked once Levenberg-Marquardt has been refused, and as long as its steps are good.
+    The secant is asked once Levenberg-Marquardt has been refused or nears the optimum slowly, and as long as its steps are good.
     """
+    before = record.gradient
     if waiting is None:
         trial, accepted = _judge(record, walk, point)
-        ask = not accepted and point.usable and record.gradient < LEVEL
+        ask = point.usable and record.gradient < LEVEL and record.gradient > SLOW * before
     elif _lower(record, point):
         record.take(point)
         trial, accepted, ask = walk.begin(point, walk.step_size), True, True
