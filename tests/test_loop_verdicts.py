@@ -18,7 +18,7 @@ from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
 from fingerjax.loop.score import rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
-from fingerjax.loop.verdict import decide
+from fingerjax.loop.verdict import decide, out_of_the_mesh
 from fingerjax.parameters import Parameter
 
 
@@ -175,6 +175,21 @@ def test_a_score_alone_says_nothing_against_a_model_where_the_mesh_moves_its_par
     assert found.mesh.checked
     assert kind(0.9, 0.3) == "mesh-limited"
     assert kind(0.1, 0.3) == kind(0.9, 0.001) == "unexplained"
+
+
+def test_effects_are_refitted_where_more_is_missed_than_the_mesh_could_have_made() -> None:
+    found = investigate(Toy(), seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+    largest = found.base.ranking.largest
+
+    def asked(excess: float, ahead: float, smooth_p: float = 0.3) -> bool:
+        mesh = dataclasses.replace(found.mesh, checked=True, excess=excess, shift=np.ones(found.mesh.shift.shape))
+        law = dataclasses.replace(found.base.critical, value=largest - ahead)
+        tests = dataclasses.replace(found.base.adequacy, omnibus_p=0.9, smooth_p=smooth_p, largest_p=0.004)
+        return out_of_the_mesh(mesh, dataclasses.replace(found.base, critical=law, adequacy=tests))
+
+    assert asked(4.0, 2.1) and asked(0.25, 0.6)
+    assert not asked(4.0, 1.9) and not asked(0.25, 0.4)
+    assert asked(4.0, 1.9, smooth_p=0.001)
 
 
 def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> None:

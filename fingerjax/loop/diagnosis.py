@@ -31,7 +31,7 @@ from .sample import Sample
 from .score import Ranking, rank
 from .separate import Rival, next_experiments
 from .subject import NONE, AbstractSubject, Family
-from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, with_nearest
+from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, out_of_the_mesh, with_nearest
 from .writing import written
 
 ASTRAY = math.log(3.0)  # of the logarithm of a modulus: farther from where the study began a fit may imitate what is missing
@@ -77,7 +77,7 @@ def investigate(
     inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.6))
     if asks_for_effects(noise, base):
         inquiry.early = _early(best, families)
-        singles = inquiry.singles()
+        singles = inquiry.singles() if inquiry.early is not None or out_of_the_mesh(mesh, base) else []
         if not any(one.in_set for one in singles) and main(singles) is None:
             pairs = inquiry.pairs(singles)
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)

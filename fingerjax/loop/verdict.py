@@ -40,8 +40,13 @@ class Verdict:
 
 
 def asks_for_effects(noise: Noise, base: Look) -> bool:
-    """Whether effects are refitted at all: the base is an optimum, its misfit is real, and the noise is known."""
+    """Whether effects are looked into at all: the base is an optimum, its misfit is real, and the noise is known."""
     return _cannot(noise, base) is None and base.adequacy.rejected
+
+
+def out_of_the_mesh(mesh: MeshGuard, base: Look) -> bool:
+    """Whether a rejected base misses more than the mesh could have made: then effects are worth refitting, which may take minutes each."""
+    return base.adequacy.bends or base.ranking.largest > base.critical.value + mesh.margin
 
 
 def decide(
