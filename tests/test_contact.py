@@ -7,11 +7,13 @@ import pytest
 from halfspace import compliance, lattice
 
 from fingerjax.contact.complementarity import complementary
-from fingerjax.contact.footprint import interface
+from fingerjax.contact.footprint import first_contact, interface
 from fingerjax.contact.indentation import press, recovered
 from fingerjax.contact.indenter import Cylinder, FlatCylinder, FlatPlate, Line, Sphere
-from fingerjax.contact.pad import pad
+from fingerjax.contact.nodal import at_nodes
+from fingerjax.contact.pad import node_area, pad
 from fingerjax.contact.triangle import HATS
+from fingerjax.errors import InputError
 
 MODULUS, EDGE = 1.7, 1.0 / 3.0  # E* in MPa; three facet edges to a millimetre
 SKIN = lattice(10, EDGE)
@@ -64,6 +66,37 @@ def test_a_quadratic_pressure_is_recovered_from_the_hats_nearest_to_it():
     nearest = np.linalg.solve(mass, right)
     assert nearest[middle] > 3.05
     assert float(recovered(face, jnp.asarray(nearest))[middle]) == pytest.approx(3.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_hertz_held_at_nodes(offset):
+    """The same sphere where no node of the skin may lie inside of it."""
+    a, skin = 4 * EDGE, lattice(14, EDGE)
+    wide = pad(skin)
+    half_space = jnp.asarray(compliance(skin, np.asarray(wide.nodes), EDGE, MODULUS, periods=24))
+    contact = jax.jit(press)(half_space, at_nodes(wide, Sphere(20.0), offset), travel=a**2 / 20)
+    assert float(contact.force) == pytest.approx(4 / 3 * MODULUS * a**3 / 20, rel=0.005)
+    assert float(contact.area) == pytest.approx(np.pi * a**2, rel=0.02)
+    assert float(contact.peak_pressure) == pytest.approx(2 * MODULUS * a / np.pi / 20, rel=0.04)
+    assert bool(contact.settled) and not bool(contact.reached_edge)
+    moved = wide.points + (half_space @ contact.nodal_forces)[:, None] * jnp.array([0.0, 1.0, 0.0])
+    x, y, z = (moved - jnp.array([offset[0], 0.0, offset[1]])).T
+    sphere = first_contact(wide, Sphere(20.0), offset) + a**2 / 20 + Sphere(20.0).surface(x, z)
+    assert float((sphere - y).max()) < 1e-12 and float(contact.nodal_forces.min()) >= 0
+
+
+def test_a_uniform_pressure_is_gathered_from_the_forces_it_puts_on_nodes():
+    plate = at_nodes(PAD, FlatPlate())
+    forces = interface(PAD, FlatPlate()).load.sum(axis=1)
+    assert float(forces[np.unique(PAD.facets[:, :3])].max()) < 1e-9  # vertices bear nothing
+    np.testing.assert_allclose(plate.gathered @ forces, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(plate.area, node_area(PAD), rtol=1e-12)
+    assert float(node_area(PAD).sum()) == pytest.approx(float(PAD.weight.sum()))
+
+
+def test_a_line_is_not_held_at_nodes():
+    with pytest.raises(InputError, match="hats"):
+        at_nodes(PAD, Line())
 
 
 @pytest.mark.parametrize("offset", OFFSETS)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fingerjax.contact.footprint import first_contact
 from fingerjax.contact.indenter import AbstractIndenter, Bar, FlatCylinder, FlatPlate, Grating, Line, Profile, Sphere, Step, Tilted
 from fingerjax.errors import InputError
 from fingerjax.fem.body import Material, material
@@ -64,6 +65,47 @@ def test_no_shape_pulls_or_is_entered(sequence: Sequence, C: jax.Array, name: st
     np.testing.assert_allclose(contact.nodal_forces.sum(axis=1), contact.force, rtol=1e-10)
     back = sequence.press(C, SHAPES[name], force=contact.force)
     np.testing.assert_allclose(back.contact.travel, 0.6, rtol=1e-8)
+
+
+def test_no_node_is_entered_where_contact_is_held_at_nodes(finger: Finger) -> None:
+    shapes = [SHAPES[name] for name in ("bar", "step", "leaning plate")]
+    fixed, loose = (prepare(finger, shapes, ORIGINS, 1.0, bone="held", held_at=each) for each in ("nodes", "hats"))
+    C = fixed.condense(TISSUE).held.matrix
+    for shape in shapes:
+        pushed, means = fixed.press(C, shape, travel=0.6), loose.press(C, shape, travel=0.6)
+        check(fixed, pushed)
+        contact = pushed.contact
+        assert np.asarray(contact.nodal_forces).min() >= 0 and np.asarray(contact.pressure).min() >= 0
+        for pose, (x, z) in enumerate(ORIGINS):
+            assert deepest(fixed, pushed, shape, pose, (x, z)) < 1e-9
+            assert deepest(loose, means, shape, pose, (x, z)) > 1e-3
+        np.testing.assert_allclose(contact.force, means.contact.force, rtol=0.15)
+        back = fixed.press(C, shape, force=contact.force)
+        np.testing.assert_allclose(back.contact.travel, 0.6, rtol=1e-8)
+    bar = Tilted(Bar(3.0, 0.3), pitch=0.05)
+    compared(lambda v: fixed.press(C, bar, travel=v[0], offset=v[1:3]).contact.force[None], jnp.array([0.6, 0.02, 0.03]), 2e-6)
+
+
+def deepest(sequence: Sequence, pushed: Pushed, shape: AbstractIndenter, pose: int, origin: tuple[float, float]) -> float:
+    """How far, mm, the deepest node lies behind the indenter, from what moved and where the indenter is."""
+    cut = jax.tree.map(lambda leaf: leaf[pose], sequence.cut)
+    x, y, z = np.asarray(cut.points).T
+    moved = y + np.asarray(pushed.readings[pose, cut.columns])
+    at = float(first_contact(cut, shape, origin)) + 0.6
+    return float(np.where(shape.covers(x - origin[0], z - origin[1]), at + shape.surface(x - origin[0], z - origin[1]) - moved, -1.0).max())
+
+
+def test_contact_is_held_somewhere_that_exists(finger: Finger) -> None:
+    with pytest.raises(InputError, match="hats, nodes"):
+        prepare(finger, SHAPES["bar"], ORIGINS, 1.0, held_at="midsides")
+
+
+def test_pressure_over_a_patch(sequence: Sequence, C: jax.Array) -> None:
+    """That of a wide patch is at most that of a narrow one, and all of the force over all of the skin in the end."""
+    pushed = sequence.press(C, SHAPES["bar"], travel=0.6)
+    narrow, wide, all_ = (np.asarray(sequence.pressure_over(pushed, radius)) for radius in (0.5, 1.5, 1e3))
+    assert np.all(narrow > wide) and np.all(wide > all_) and np.all(narrow < np.asarray(pushed.contact.peak_pressure))
+    np.testing.assert_allclose(all_, pushed.contact.force / sequence.cut.weight.sum(axis=(1, 2)), rtol=1e-4)
 
 
 def test_a_step_is_carried_by_less_skin_where_it_is_convex(finger: Finger) -> None:

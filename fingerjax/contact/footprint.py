@@ -59,7 +59,8 @@ class Interface(eqx.Module):
     mm^2: integrals of overlap and of 1 against each hat. A hat that lies off the indenter has area 0 and
     takes no part. `lowest` is the y in mm at which the indenter first touches; travel is counted from there.
     `pieces` (r, 3), or (r, 2) of a line, are the hats of each facet and `covered` (r,) in mm^2 how much of it
-    lies under the indenter.
+    lies under the indenter. `gathered` (h, k) in MPa/N is the pressure of each hat from the force on each
+    unknown where contact is held elsewhere than in hats (`nodal`).
     """
 
     load: Float[Array, "p k"]
@@ -69,6 +70,7 @@ class Interface(eqx.Module):
     lowest: Float[Array, ""]
     pieces: Int[Array, "r b"]
     covered: Float[Array, " r"]
+    gathered: Float[Array, "h k"] | None = None
 
 
 def first_contact(pad: Pad, indenter: AbstractIndenter, origin: Any) -> Float[Array, ""]:

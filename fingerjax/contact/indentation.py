@@ -13,19 +13,22 @@ from fingerjax.contact.footprint import Interface
 # on 2 to 5 facet edges is right to 1 % wherever the mesh lies (1 would put it an eighth of an edge too
 # small).
 CLOSING = 0.45
+# The same where contact is held at nodes, whose forces are gathered at vertices and so spread by half an edge.
+CLOSING_AT_NODES = 0.85
 
 
 class Contact(eqx.Module):
     """An indenter at rest on the skin.
 
-    `pressure` (k,) in MPa, one for each hat; `nodal_forces` (p,) in N along +y on the pad nodes; `force` in
+    `pressure` (h,) in MPa, one for each hat; `nodal_forces` (p,) in N along +y on the pad nodes; `force` in
     N; `travel` in mm from first contact; `area` in mm^2, in the x-z plane, smooth in the travel;
-    `peak_pressure` in MPa, the largest `recovered` one; `active` (k,) hats in contact; `gap` (k,) mean gap in mm over each hat; `steps`
-    solves; `settled`, whether contact was decided; `reached_edge`, whether a hat on the border of the pad
-    bears pressure, so that a larger pad is needed.
+    `peak_pressure` in MPa, the largest `recovered` one; `active` (k,) hats in contact and `gap` (k,) mean gap
+    in mm over each, or both of nodes where contact is held there (`nodal`); `steps` solves; `settled`,
+    whether contact was decided; `reached_edge`, whether what bears pressure on the border of the pad says
+    that a larger pad is needed.
     """
 
-    pressure: Float[Array, " k"]
+    pressure: Float[Array, " h"]
     nodal_forces: Float[Array, " p"]
     force: Float[Array, ""]
     travel: Float[Array, ""]
@@ -92,14 +95,19 @@ def press_hats(
         found = complementary(
             compliance, overlap, present, travel=travel, force=force, start=start, max_steps=max_steps
         )
-    pressure = found.force / area
-    pull = found.force - CLOSING * found.gap / jnp.where(present, jnp.diagonal(compliance), 1.0)
+    closing = CLOSING if interface.gathered is None else CLOSING_AT_NODES
+    pull = found.force - closing * found.gap / jnp.where(present, jnp.diagonal(compliance), 1.0)
+    if interface.gathered is None:
+        pressure, pull = found.force / area, jnp.where(present, pull / area, jnp.nan)
+    else:
+        bears = jnp.any((interface.gathered > 0) & present, axis=1)
+        pressure, pull = interface.gathered @ found.force, jnp.where(bears, interface.gathered @ pull, jnp.nan)
     return Contact(
         pressure=pressure,
-        nodal_forces=interface.load @ pressure,
+        nodal_forces=interface.load @ (found.force / area),
         force=jnp.sum(found.force),
         travel=found.travel,
-        area=_area(interface, jnp.where(present, pull / area, jnp.nan)),
+        area=_area(interface, pull),
         peak_pressure=jnp.max(recovered(interface, pressure)),
         active=found.active,
         gap=found.gap,

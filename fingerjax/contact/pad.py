@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..errors import InputError
-from .triangle import HATS, SHAPES, SLOPES, WEIGHTS
+from .triangle import HATS, QUARTERS, SHAPES, SLOPES, WEIGHTS
 
 STEEPEST_SKIN = 0.17  # facets whose unit normal has n_y above -0.17 (80 degrees) face sideways
 # Hats along a line stand this many node spacings apart: at 1 the pressure ripples by 14 % (condition number
@@ -71,6 +71,13 @@ def functionals(whole: Pad, nodes: int) -> sp.csc_matrix:
     """Columns (3 nodes, p): the y-displacement of each pad node, also a unit force along +y on it."""
     p = len(whole.nodes)
     return sp.csc_matrix((np.ones(p), (3 * np.asarray(whole.nodes) + 1, np.arange(p))), shape=(3 * nodes, p))
+
+
+def node_area(pad: Pad) -> Float[Array, " p"]:
+    """Projected area, mm^2, that is each node's own: a third of every quarter of a facet that it is a corner of."""
+    quarters = jnp.sum(pad.weight.reshape(len(pad.facets), len(QUARTERS), -1), axis=2)
+    share = jnp.broadcast_to(quarters[:, :, None] / 3, (*quarters.shape, 3))
+    return jnp.zeros(len(pad.points)).at[pad.facets[:, np.array(QUARTERS)]].add(share)
 
 
 def _facing_down(finger: SkinMesh) -> np.ndarray:

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))  # nodes of the quarters of a facet, in the order of the rule
+
 
 def shapes(a: Any, b: Any) -> Any:
     """Quadratic shape functions (..., 6) at parameters (...), of NumPy or of JAX as they are."""
@@ -33,13 +35,12 @@ def _of(values: Any) -> Any:
 
 def _rule() -> tuple[np.ndarray, np.ndarray]:
     """Points (24, 2) and weights (24,) summing to 1/2: 6, exact to degree 4, in each quarter triangle."""
-    children = np.array([(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)])
     corners = np.array([(0, 0), (1, 0), (0, 1), (0.5, 0), (0.5, 0.5), (0, 0.5)], float)
     a, b = 0.445948490915965, 0.091576213509771
     one = [(a, a), (1 - 2 * a, a), (a, 1 - 2 * a), (b, b), (1 - 2 * b, b), (b, 1 - 2 * b)]
     bary = np.array([(1 - s - t, s, t) for s, t in one])
     weight = np.repeat([0.223381589678011, 0.109951743655322], 3) / 8.0
-    return np.concatenate([bary @ corners[child] for child in children]), np.tile(weight, 4)
+    return np.concatenate([bary @ corners[list(quarter)] for quarter in QUARTERS]), np.tile(weight, 4)
 
 
 def _lattice(order: int) -> np.ndarray:

@@ -16,6 +16,7 @@ of edge h, as a travel of order h^2/R. Before, all readings and slopes are 0; af
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Sequence as Several
 
 import equinox as eqx
@@ -28,7 +29,8 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from ..contact.footprint import Interface, interface
 from ..contact.indentation import Contact, press
 from ..contact.indenter import AbstractIndenter
-from ..contact.pad import Pad, functionals
+from ..contact.nodal import at_nodes
+from ..contact.pad import Pad, functionals, node_area
 from ..contact.reach import Indentation, pad_for, windows
 from ..errors import InputError
 from ..fem.body import Body, Material, body
@@ -41,6 +43,7 @@ from ..finger import Finger
 from ..measure.receptor import Receptor
 from ..measure.sites import Sites
 
+HELD_AT = {"hats": interface, "nodes": at_nodes}
 READ = 12  # columns of a receptor: six strains, and their slopes inwards
 
 
@@ -68,6 +71,7 @@ class Sequence(eqx.Module):
     origins: Float[Array, "poses 2"]
     receptor: Int[Array, " sites"]
     layer: Int[Array, " sites"]
+    held_at: str = eqx.field(static=True, default="hats")
 
     def condense(self, material: Material) -> AbstractCondensed:
         """The body behind its columns at a material; outside of compiled code. `held.matrix` is what `press` needs."""
@@ -92,8 +96,16 @@ class Sequence(eqx.Module):
         small beside a node spacing or two, since the skin that can be touched is chosen beforehand.
         """
         imposed = jnp.broadcast_to(jnp.asarray(travel if force is None else force, float), self.origins.shape[:1])
-        faces = _faces(self.cut, self.origins + jnp.asarray(offset, float), indenter)
+        faces = _faces(self.cut, self.origins + jnp.asarray(offset, float), indenter, HELD_AT[self.held_at])
         return _pressed(self.cut.columns, faces, C, imposed, force is not None)
+
+    def pressure_over(self, pushed: Pushed, radius: float) -> Float[Array, " poses"]:
+        """Largest pressure, MPa, over patches of skin of this `radius`, mm, about every node, weighted towards their middle.
+
+        The `peak_pressure` of a contact is that of one vertex, which differs from mesh to mesh where facets are uneven; this does not,
+        once the radius is some facets long.
+        """
+        return _pressure_over(self.cut, pushed.contact.nodal_forces, radius)
 
     def feel(self, pushed: Pushed, material: Material, deeper: Float[ArrayLike, ""] = 0.0) -> Receptor:
         """State of the tissue at every receptor under every indentation (poses, sites); `deeper` mm further inwards, to first order."""
@@ -114,8 +126,8 @@ def population(sequence: Sequence, condensed: AbstractCondensed, pushed: Pushed,
 
 
 @eqx.filter_jit
-def _faces(cut: Pad, origins: Array, indenter: AbstractIndenter) -> Interface:
-    return jax.lax.map(lambda pose: interface(pose[0], indenter, (pose[1][0], pose[1][1])), (cut, origins))
+def _faces(cut: Pad, origins: Array, indenter: AbstractIndenter, held: Callable[..., Interface]) -> Interface:
+    return jax.lax.map(lambda pose: held(pose[0], indenter, (pose[1][0], pose[1][1])), (cut, origins))
 
 
 @eqx.filter_jit
@@ -130,6 +142,18 @@ def _pressed(columns: Array, faces: Interface, C: Array, imposed: Array, forced:
     return Pushed(contact, forces, forces @ C)
 
 
+@eqx.filter_jit
+def _pressure_over(cut: Pad, forces: Array, radius: Array | float) -> Array:
+    def one(pose: tuple[Pad, Array]) -> Array:
+        own, force = pose
+        x, z = own.points[:, 0], own.points[:, 2]
+        near = jnp.maximum(1.0 - ((x[:, None] - x) ** 2 + (z[:, None] - z) ** 2) / radius**2, 0.0)
+        area = near @ node_area(own)
+        return jnp.max(near @ force / jnp.where(area > 0, area, jnp.inf))
+
+    return jax.lax.map(one, (cut, forces))
+
+
 def prepare(
     finger: Finger,
     indenters: AbstractIndenter | Several[AbstractIndenter],
@@ -139,11 +163,16 @@ def prepare(
     *,
     bone: str = "rigid",
     solver: str = "auto",
+    held_at: str = "hats",
 ) -> Sequence:
     """Choose the skin that indenters at `origins` (poses, 2) can touch within `travel` mm, and condense nothing yet.
 
-    **Raises:** `InputError` for an origin at which none of the indenters touches the pad.
+    **Arguments:** `held_at`, where contact is held: as means over "hats" (`contact.footprint`), or at "nodes" (`contact.nodal`).
+
+    **Raises:** `InputError` for an origin at which none of the indenters touches the pad; for another `held_at`.
     """
+    if held_at not in HELD_AT:
+        raise InputError("no such place to hold contact at", place="held_at", seen=held_at, remedy=f"one of {', '.join(HELD_AT)}")
     tissue = body(finger, bone=bone)
     bare = finger if bone == "elastic" else finger.without_bone()
     origins = np.atleast_2d(np.asarray(origins, float))
@@ -165,6 +194,7 @@ def prepare(
         origins=jnp.asarray(origins),
         receptor=jnp.asarray(first + READ * np.arange(len(layers))),
         layer=jnp.asarray(layers),
+        held_at=held_at,
     )
 
 

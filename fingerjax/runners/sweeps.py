@@ -25,6 +25,7 @@ from ..report.records import Context, Row, StudyResult, Table, mesh_record
 from ..report.sweep_figures import sweeps
 from ..study import Study, Sweep
 
+WIDE = 1.0  # mm: radius of the patches over which pressure is read as well
 SPACING, PATCH = 0.25, 1.4  # of the receptor's depth: node spacing around it, and how far that goes
 
 
@@ -64,7 +65,7 @@ def _swept(
     pushed, sequence = pressed(study, options, receptor, solid, finger, shape, tissue)
     state = sequence.feel(pushed, tissue)
     felt = {quantity: np.asarray(QUANTITIES[quantity](state))[:, 0] for quantity in PAPER_QUANTITIES}
-    contact = pushed.contact
+    contact, over = pushed.contact, sequence.pressure_over(pushed, WIDE)
     return [
         {
             "indenter": name,
@@ -74,6 +75,7 @@ def _swept(
             "area_mm2": float(contact.area[i]),
             "mean_pressure_kPa": 1e3 * float(pushed.mean_pressure[i]),
             "largest_pressure_kPa": 1e3 * float(contact.peak_pressure[i]),
+            f"largest_pressure_over_{WIDE:g}_mm_kPa": 1e3 * float(over[i]),
             **{_column(quantity): (1e3 if UNITS[quantity] == "MPa" else 1.0) * float(felt[quantity][i]) for quantity in felt},
         }
         for i, place in enumerate(options.positions)
