@@ -29,7 +29,7 @@ except ImportError:  # the extra `direct`
     pypardiso = None
 
 POINTS = 2  # order of the rule on a facet: three points, as many as a facet can bear without being over-constrained
-FINE = 8  # order of the rule for averages, which an indenter's edge may cut
+FINE = 19  # order of the rule for averages, which an indenter's edge may cut: the highest there is
 SLIVER = 0.02  # of a hat: with less of it under the indenter, it bears nothing
 REACHED = 1.25  # of the travel: skin farther than that from the indenter is not looked at
 RAISED = 10.0  # by what the penalty grows from one round to the next
