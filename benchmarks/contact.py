@@ -40,7 +40,8 @@ from fingerjax.mesh import Resolution, build_finger
 SOLID = preset("monkey")
 MIDDLE = SOLID.pad_centre
 DEPTH = 0.75  # mm of the receptor
-FINE = Resolution(0.17, 1.0)  # the paper's 29,000 nodes
+FINE_PAD, FINE_PROXIMAL = 0.17, 1.0  # mm: the paper's 29,000 nodes
+FINE = Resolution(FINE_PAD, FINE_PROXIMAL)
 ALIKE = (1.0, 1.01, 0.99, 1.02, 0.98)  # times that: as many meshes, whose scatter is in the intervals of what bar_A says
 LAYERED = material(dict(zip(SOFT_LAYERS, (0.14, 0.014, 0.014, 0.014), strict=True)))
 HOMOGENEOUS = material(dict.fromkeys(SOFT_LAYERS, 0.14))
@@ -109,7 +110,7 @@ def bars(quick: bool) -> Iterator[Figure]:
     """The bar at every measured position on the fine monkey, layered and homogeneous, and the rates that were measured."""
     began, found = time.perf_counter(), []
     for share in ALIKE[: 1 if quick else None]:
-        finger = build_finger(SOLID, Resolution(0.5, 1.5) if quick else Resolution(share * FINE.pad, share * FINE.proximal))
+        finger = build_finger(SOLID, Resolution(0.5, 1.5) if quick else Resolution(share * FINE_PAD, share * FINE_PROXIMAL))
         found.append(sweep(finger, SOLID, {"layered": LAYERED, "homogeneous": HOMOGENEOUS}, DEPTH))
         if len(found) == 1:
             yield Figure("bar: nodes", len(finger.nodes), "1", note=f"meshed and pressed in {time.perf_counter() - began:.0f} s")
