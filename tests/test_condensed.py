@@ -73,10 +73,23 @@ def test_a_material_in_proportion_takes_the_solves_of_another(body):
 
 def test_an_older_condensation_still_answers_for_its_own_material(body):
     columns, solver = columns_of(body, 1), solver_for(body, "factorised")
+    other = jnp.asarray([[2.0], [1.5]]) * SKIN.lame()
     first = solver.condense(body, SKIN.lame(), columns)
-    second = solver.condense(body, 2.0 * SKIN.lame(), columns)
+    second = solver.condense(body, other, columns)
     assert probe(columns, first) < 1e-10 and probe(columns, second) < 1e-10
-    np.testing.assert_allclose(first.held.matrix, 2.0 * second.held.matrix, rtol=1e-9)
+    np.testing.assert_allclose(second.held.matrix, solver_for(body, "factorised").condense(body, other, columns).held.matrix, rtol=1e-9)
+
+
+def test_a_body_whose_constants_all_moved_in_proportion_is_not_factorised_again(body, monkeypatch):
+    columns, solver = columns_of(body, 9), solver_for(body, "factorised")
+    first = solver.condense(body, SKIN.lame(), columns)
+    fresh = solver_for(body, "factorised").condense(body, 3.0 * SKIN.lame(), columns)
+    monkeypatch.setattr(type(solver.host._factor), "factor", lambda *_: pytest.fail("factorised once more"))
+    found = solver.condense(body, 3.0 * SKIN.lame(), columns)
+    assert found.unscaled == (first, pytest.approx(3.0, rel=1e-14))
+    np.testing.assert_allclose(found.held.matrix, fresh.held.matrix, rtol=1e-9)
+    forces = jnp.asarray(np.random.default_rng(0).normal(size=(2, columns.count)))
+    np.testing.assert_allclose(found.displacement(forces), fresh.displacement(forces), atol=1e-9)
 
 
 @pytest.mark.parametrize("how", FACTORISATIONS)

@@ -16,7 +16,7 @@ from .body import Body
 from .carried import Carriage, bone_loads, carriage
 from .cholesky import AbstractCholesky
 from .columns import Columns
-from .condensed import AbstractCondensed, ByFactor, Held, probe
+from .condensed import AbstractCondensed, ByFactor, Held, Stiffer, first_like, probe
 from .frontal import Frontal
 from .pardiso import Pardiso, pardiso_available
 from .stiffness import AbstractStiffness, Elastic
@@ -57,15 +57,20 @@ class Host:
         self._last: list[_Answered] = []
 
     def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
-        """The body behind its columns; the last few linear ones are kept, for fits that move something else.
+        """The body behind its columns; the last few linear ones are kept, for fits that move something else or all constants in proportion.
 
         Where most columns were asked for at this stiffness already, only the others are solved for: a receptor that moves, say.
         """
         if not isinstance(stiffness, Elastic):
             return self._condensed(stiffness, columns).condensed
-        for answered in self._last:
-            if answered.columns is columns.weight and _same(answered.stiffness, stiffness):
+        known = [one for one in self._last if one.columns is columns.weight]
+        for answered in known:
+            if _same(answered.stiffness, stiffness):
                 return answered.condensed
+        for answered in known:
+            times = _times(answered.stiffness, stiffness)
+            if times is not None:
+                return Stiffer(answered.condensed, times, jnp.asarray(stiffness.lame))
         found = self._completed(stiffness, columns) or self._condensed(stiffness, columns)
         self._last = [*self._last[1 - REMEMBERED :], found]
         return found.condensed
@@ -129,7 +134,7 @@ class Host:
             return Held(jnp.asarray((C + C.T) / 2), jnp.asarray(stiffness.lame), *ended)
 
         def solve(right: np.ndarray) -> np.ndarray:
-            return self.direct(stiffness, right)[0]
+            return self._backed(stiffness, right)[0]
 
         condensed = ByFactor(held(residual), solve, matrix, self.assembled.free, riding)
         condensed.held = held(max(residual, probe(columns, condensed)))
@@ -145,12 +150,17 @@ class Host:
 
     def direct(self, stiffness: AbstractStiffness, right: np.ndarray) -> tuple[np.ndarray, float]:
         """Displacements (m, n, 3) under loads (free, m) between free unknowns, and the residual of them all."""
+        full, x = self._backed(stiffness, right)
+        return full, _probed(self._K, x, right) if right.shape[1] else 0.0
+
+    def _backed(self, stiffness: AbstractStiffness, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same displacements, and those of the free unknowns (free, m), by a factorisation that has been probed before."""
         self._at(stiffness)
         assert self._factor is not None
         x = self._factor.solve(right) if right.shape[1] else right
         full = np.zeros((right.shape[1], 3 * self.nodes))
         full[:, self.assembled.free] = x.T
-        return full.reshape(-1, self.nodes, 3), _probed(self._K, x, right) if right.shape[1] else 0.0
+        return full.reshape(-1, self.nodes, 3), x
 
     def _at(self, stiffness: AbstractStiffness, kept: np.ndarray | None = None) -> np.ndarray | None:
         """Factorise this stiffness unless that was done last; with `kept`, always, for the Schur complement of those unknowns."""
@@ -171,10 +181,21 @@ class Host:
 
 def _same(one: AbstractStiffness | None, other: AbstractStiffness) -> bool:
     if isinstance(one, Elastic) and isinstance(other, Elastic):
-        parts = zip(jax.tree.leaves(one.body), jax.tree.leaves(other.body), strict=False)
-        alike = all(part is other_part for part, other_part in parts) and (one.body.springs is None) == (other.body.springs is None)
-        return alike and np.array_equal(np.asarray(one.lame), np.asarray(other.lame))
+        return _of_one_body(one, other) and np.array_equal(np.asarray(one.lame), np.asarray(other.lame))
     return one is other
+
+
+def _times(one: AbstractStiffness, other: Elastic) -> float | None:
+    """How many times as stiff as the one the other is; None where their constants are not in proportion."""
+    if not isinstance(one, Elastic) or not _of_one_body(one, other):
+        return None
+    like, times = first_like(other.body, [jnp.asarray(one.lame), jnp.asarray(other.lame)], 1)
+    return times if like == 0 else None
+
+
+def _of_one_body(one: Elastic, other: Elastic) -> bool:
+    parts = zip(jax.tree.leaves(one.body), jax.tree.leaves(other.body), strict=False)
+    return all(part is other_part for part, other_part in parts) and (one.body.springs is None) == (other.body.springs is None)
 
 
 def _told_apart(matrix: sp.csc_matrix) -> list[tuple[bytes, bytes]]:
