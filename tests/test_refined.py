@@ -53,6 +53,16 @@ def test_one_correction_leaves_as_much_as_it_moved_and_one_that_does_not_fall_no
     assert Refined(fits, shifts).spread == pytest.approx(np.outer(shifts[1], shifts[1]))
 
 
+def test_softer_elements_bring_the_fit_half_way_to_them_and_widen_what_is_left() -> None:
+    """One kind of element is as much too stiff as the other is too soft: what lies in the middle is the limit."""
+    stiff, soft = on(0.5), on(0.5, rough=-0.08)
+    alone, found, limit = refined(fit(on(1.0)), [stiff]), refined(fit(on(1.0)), [stiff], softer=soft), fit(on(0.0))
+    assert found.softened is not None and len(found.shifts) == 1 and len(found.fits) == 3
+    assert np.all(np.abs(found.best.raw - limit.raw) < 0.2 * np.abs(alone.best.raw - limit.raw))
+    assert found.softened == pytest.approx(limit.raw - alone.best.raw, rel=0.25)
+    assert found.spread == pytest.approx(alone.spread + np.outer(found.softened, found.softened))
+
+
 def test_other_parameters_or_no_optimum_are_refused() -> None:
     coarse = fit(on(1.0))
     other = problem(lambda b: b[0] * X, X, [Parameter("scale", 1.0)], 0.1)

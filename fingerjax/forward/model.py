@@ -282,6 +282,7 @@ def lay_out(
     wired: Wiring,
     solver: str | AbstractSolver = "auto",
     effects: Effects = NONE,
+    dilatation: str = "pointwise",
 ) -> Assembled:
     """A study on a mesh that is already there, with effects in it. `solver`: its kind, or that of a body with the same elements and
     supports.
@@ -291,8 +292,13 @@ def lay_out(
     bone, whole = study.model.bone_kind(), finger
     finger = effects.shape(finger, solid)
     finger = finger if bone == "elastic" else finger.without_bone()
-    tissue = effects.support(body(finger, bone=bone), finger, solid)
+    tissue = effects.support(body(finger, bone=bone, dilatation=dilatation), finger, solid)
     return _instrumented(study, solid, whole, finger, tissue, wired, solver, effects)
+
+
+def softened(ready: Assembled) -> Assembled:
+    """A study on the same mesh whose elements have the mean dilatation: they are softer than those with one at every point."""
+    return lay_out(ready.study, ready.solid, ready.mesh, ready.model.wired, effects=ready.effects, dilatation="mean")
 
 
 def changed(ready: Assembled, effects: Effects) -> Assembled:
@@ -302,7 +308,7 @@ def changed(ready: Assembled, effects: Effects) -> Assembled:
     """
     known = ready.model
     if effects.reshape or ready.effects.reshape:
-        return lay_out(ready.study, ready.solid, ready.mesh, known.wired, known.solver, effects)
+        return lay_out(ready.study, ready.solid, ready.mesh, known.wired, known.solver, effects, known.body.dilatation)
     return _instrumented(ready.study, ready.solid, ready.mesh, ready.finger, known.body, known.wired, known.solver, effects, ready.skin)
 
 

@@ -45,7 +45,7 @@ def how_sure(
     if chains is not None and known.identified:
         drawn = sample(found, steps=chains[0], chains=chains[1], seed=chains[2], tell=context.within(0.7, 0.95).tell)
     context.tell(0.95, "finite changes")
-    warnings = [*settled.warnings, *_warnings(found, known, lines, repeats, drawn, many)]
+    warnings = [*settled.warnings, *warnings_of(found, known, lines, repeats, drawn, many)]
     if chains is not None and drawn is None:
         warnings.append("Nothing was sampled: samples need data that see every parameter.")
     local = Table("finite_changes", "Local slopes against changes by a factor of ten, in sigmas", finite(found))
@@ -77,14 +77,15 @@ def _instances(study: Study, assembled: Assembled, found: Fit) -> tuple[str, ...
     return tuple(one.name for one in found.problem.parameters if one.path in owners)
 
 
-def _warnings(
+def warnings_of(
     found: Fit,
     known: Uncertainty,
     lines: tuple[Profile, ...],
-    repeats: Bootstrap | None,
-    drawn: Posterior | None,
-    many: Multistart | None,
+    repeats: Bootstrap | None = None,
+    drawn: Posterior | None = None,
+    many: Multistart | None = None,
 ) -> list[str]:
+    """What a reader has to know before using the intervals: parameters that are not identifiable, problems that are not regular."""
     said = [f"{one.verdict()}." for one in lines if not one.identified]
     said += [f"{each[0].upper()}{each[1:]}." for each in sentences(found)]
     said += [f"{many.verdict()[0].upper()}{many.verdict()[1:]}."] if many is not None and not many.agree else []
