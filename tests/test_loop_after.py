@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from fingerjax.loop import heldout
 from fingerjax.loop.adequacy import Look, look
 from fingerjax.loop.calibrate import Machine, false_alarms, planted
 from fingerjax.loop.diagnosis import diagnose
-from fingerjax.loop.meshguard import correction, guard, leftover
+from fingerjax.loop.meshguard import correction, guard
 from fingerjax.loop.noise import estimate
 from fingerjax.loop.refit import Optimum, optimum
 from fingerjax.loop.sample import Sample
@@ -97,18 +98,47 @@ def test_a_prior_on_a_logarithm_pulls_by_ratios() -> None:
 def test_the_mesh_error_is_measured_and_its_leftover_is_a_covariance() -> None:
     toy = Toy(mesh=0.03)
     best = based(toy)
-    offset = correction(toy, best.raw, NONE)
-    assert offset is not None and np.linalg.norm(offset) > 0
-    left = leftover(toy.rows, offset)
+    found = correction(toy, best.raw, NONE)
+    assert found is not None and np.linalg.norm(found.offset) > 0 and not found.softness.any()
+    offset, left = found.offset, found.left(toy.rows)
     assert np.linalg.eigvalsh(left).min() > -1e-9 * np.linalg.eigvalsh(left).max()
     assert np.sqrt(np.diag(left)) == pytest.approx(0.25 * np.abs(offset))
     line, bar = (toy.rows.blocks[name] for name in ("line", "bar"))
     assert not left[line, bar].any()
     again = optimum(best.sample.corrected(offset, left), (), best.raw, NONE)
-    known = guard(again, offset, left)
+    known = guard(again, found)
     assert known.excess <= len(GRID) and not known.passed
     # An offset twice as large reaches four times as far in the noise alone.
-    assert guard(again, 2 * offset, left).reach == pytest.approx(4 * known.reach, rel=0.2)
+    twice = dataclasses.replace(found, offset=2 * offset)
+    other = optimum(best.sample.corrected(twice.offset, twice.left(toy.rows)), (), best.raw, NONE)
+    assert guard(other, twice).reach == pytest.approx(4 * known.reach, rel=0.2)
+
+
+class Softer(Toy):
+    """A toy whose finer mesh is too stiff by a share of its prediction, and by as much too soft with other elements."""
+
+    share = -0.01
+
+    def softness(self, raw: np.ndarray, phi: Mapping[str, float]) -> np.ndarray | None:
+        finer = self.finer(raw, phi)
+        return None if finer is None else self.share * np.linspace(0.5, 1.5, len(finer)) * finer
+
+
+def test_softer_elements_move_the_correction_half_way_and_widen_what_it_leaves() -> None:
+    stiff, both = Toy(mesh=0.03), Softer(mesh=0.03)
+    best = based(stiff)
+    alone, found = (correction(toy, best.raw, NONE) for toy in (stiff, both))
+    assert alone is not None and found is not None
+    half = both.softness(best.raw, NONE)
+    np.testing.assert_allclose(found.offset, alone.offset + half, rtol=1e-12)
+    assert np.sqrt(np.diag(found.left(both.rows))) == pytest.approx(np.hypot(0.25 * np.abs(found.offset), np.abs(half) / math.sqrt(3)))
+    ends = [optimum(best.sample.corrected(each.offset, each.left(stiff.rows)), (), best.raw, NONE) for each in (alone, found)]
+    before, after = (guard(end, each) for end, each in zip(ends, (alone, found), strict=True))
+    assert after.excess > before.excess
+    only = dataclasses.replace(found, offset=np.zeros(len(half)))
+    end = optimum(best.sample.corrected(only.offset, only.left(stiff.rows)), (), best.raw, NONE)
+    moved = end.projection.inverse @ end.sample.columns(half[:, None])[:, 0]
+    np.testing.assert_allclose(guard(end, only).raw_shift, moved[: len(end.raw)] / math.sqrt(3), rtol=1e-9)
 
 
 def test_look_alikes_are_listed_with_the_misfit_that_would_tell_them_apart() -> None:

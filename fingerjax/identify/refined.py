@@ -7,7 +7,8 @@ Numer. Math. 29, 1978). The answer is that of the fine mesh, and so are profiles
 the defect stays as it is.
 
 Elements that are too stiff and elements that are too soft enclose what both would reach on a mesh fine enough. Where the finest mesh is
-there with softer ones too, the fit is corrected to the middle between the two, and half of what lies between them is part of the error.
+there with softer ones too, the fit is corrected to the middle between the two. What may lie anywhere between two ends has a third of its
+squared half-width for variance (Guide to the Expression of Uncertainty in Measurement, JCGM 100:2008, 4.3.7).
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class Refined:
             fell = float(np.linalg.norm(last)) / max(float(np.linalg.norm(self.shifts[-2])), 1e-300)
             last = last * (fell / (1 - fell) if fell < 0.5 else 1.0)
         left = np.outer(last, last)
-        return left if self.softened is None else left + np.outer(self.softened, self.softened)
+        return left if self.softened is None else left + np.outer(self.softened, self.softened) / 3
 
 
 def corrected(problem: Problem, defect: np.ndarray) -> Problem:

@@ -22,7 +22,7 @@ from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
 from .explanations import Explanation, Inquiry, first, main
 from .findings import Findings
-from .meshguard import MeshGuard, correction, guard, leftover, share_left, unchecked
+from .meshguard import Correction, MeshGuard, correction, guard, share_left, unchecked
 from .nearest import nearest
 from .noise import Noise, estimate, outliers
 from .record import Diagnosis, Planted
@@ -111,27 +111,26 @@ def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep
     """
     noise = estimate(subject.rows)
     raw = np.array([parameter.raw() for parameter in subject.parameters])
-    offset = correction(subject, raw, NONE)
-    best = _fitted(Sample.of(subject, noise, chosen), raw, offset, "base", kept)
+    known = correction(subject, raw, NONE)
+    best = _fitted(Sample.of(subject, noise, chosen), raw, known, "base", kept)
     if best.settled and (again := outliers(subject.rows, noise, best.sample.error(best.at))).weights.min() < noise.weights.min():
         noise = again
-        best = _fitted(Sample.of(subject, noise, chosen), best.raw, offset, "base with outliers weighed", kept)
+        best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, "base with outliers weighed", kept)
     for number in range(ROUNDS):
-        moved = correction(subject, best.raw, NONE, best.at) if best.settled and offset is not None else None
-        if moved is None or offset is None or np.linalg.norm(best.sample.columns((moved - offset)[:, None])) < SAME:
+        moved = correction(subject, best.raw, NONE, best.at) if best.settled and known is not None else None
+        if moved is None or known is None or np.linalg.norm(best.sample.columns((moved.offset - known.offset)[:, None])) < SAME:
             break
-        offset = moved
-        best = _fitted(Sample.of(subject, noise, chosen), best.raw, offset, f"base on the finer mesh {number}", kept)
-    if offset is None or not best.settled:
+        known = moved
+        best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, f"base on the finer mesh {number}", kept)
+    if known is None or not best.settled:
         return noise, best, unchecked(len(subject.rows), len(raw))
-    rho = share_left(subject.refinement)
-    return noise, best, guard(best, offset, leftover(subject.rows, offset, rho), rho)
+    return noise, best, guard(best, known, share_left(subject.refinement))
 
 
-def _fitted(sample: Sample, raw: Float[np.ndarray, "p"], offset: Float[np.ndarray, "rows"] | None, name: str, kept: Keep) -> Optimum:
+def _fitted(sample: Sample, raw: Float[np.ndarray, "p"], known: Correction | None, name: str, kept: Keep) -> Optimum:
     """The base fit with the mesh's correction, and with the noise of what that leaves."""
-    if offset is not None:
-        sample = sample.corrected(offset, leftover(sample.subject.rows, offset, share_left(sample.subject.refinement)))
+    if known is not None:
+        sample = sample.corrected(known.offset, known.left(sample.subject.rows, share_left(sample.subject.refinement)))
     return optimum(sample, (), raw, NONE, name=name, kept=kept)
 
 
@@ -154,8 +153,8 @@ def _early(best: Optimum, families: tuple[Family, ...]) -> Ranking | None:
     at = subject.evaluate(raw, NONE, ())
     if not at.usable:
         return None
-    offset = correction(subject, raw, NONE, at) if best.sample.offset.any() else None
-    sample = best.sample if offset is None else best.sample.corrected(offset)
+    known = correction(subject, raw, NONE, at) if best.sample.offset.any() else None
+    sample = best.sample if known is None else best.sample.corrected(known.offset)
     there = dataclasses.replace(
         best, sample=sample, raw=raw, at=at, residual=sample.residual(at, raw), jacobian=sample.jacobian(at, raw),
         free=np.ones(len(raw), dtype=bool), settled=False,

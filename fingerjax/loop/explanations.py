@@ -192,11 +192,11 @@ class Inquiry:
         if not best.settled or delta < max(self.needed, NEARLY * self.leading) or not best.sample.offset.any():
             return best
         for number in range(ASKED):
-            offset = correction(best.sample.subject, best.raw, best.phi, best.at)
-            if offset is None or np.linalg.norm(best.sample.columns((offset - best.sample.offset)[:, None])) < SAME:
+            known = correction(best.sample.subject, best.raw, best.phi, best.at)
+            if known is None or np.linalg.norm(best.sample.columns((known.offset - best.sample.offset)[:, None])) < SAME:
                 break
             name = f"{_label(best.columns)} on its own mesh {number}"
-            again = optimum(best.sample.corrected(offset), best.columns, best.raw, best.phi, name=name, kept=self.kept)
+            again = optimum(best.sample.corrected(known.offset), best.columns, best.raw, best.phi, name=name, kept=self.kept)
             if not again.settled:
                 break
             best = again

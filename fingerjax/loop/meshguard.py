@@ -1,12 +1,13 @@
 """What the mesh adds to a residual: measured on one finer solve, taken out, and what may be left of it counted as noise.
 
-    D = f_(s h) - f_h at the optimum,     f -> f + D,     Sigma_disc = rho^2 |D_i| |D_j| exp(-|x_i - x_j|^2 / 2)
+    D = f_(s h) + H - f_h at the optimum,     f -> f + D,     Sigma_disc = a_i a_j exp(-|x_i - x_j|^2 / 2),     a^2 = (rho D)^2 + H^2 / 3
 
 with coordinates in thirds of their range, rows of two conditions of a block half as alike. An error that falls with the power p of the
-element size leaves rho = s^p / (1 - s^p) of D: a quarter where the finer mesh has half the size. Small effects are not to be named where
-what may be left could look like one:
+element size leaves rho = s^p / (1 - s^p) of D: a quarter where the finer mesh has half the size. Near incompressibility elements are too
+stiff and it falls more slowly; others are too soft, H is half of the way from the ones to the others on the finer mesh, and the truth is
+taken to lie anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to be named where what may be left could look like one:
 
-    lambda = |Q L^-1 rho D|^2 <= 1   and   |J^+ L^-1 rho D| <= 0.2 standard deviations of every parameter
+    lambda = |Q L^-1 rho D|^2 + |Q L^-1 H|^2 / 3 <= 1   and   the root of the like sum of J^+ L^-1 rho D <= 0.2 standard deviations
 
 A misfit is the mesh's own where lambda is too large and an error twice as large as D would make as much of it: a mesh that converges in
 first order leaves as much as D.
@@ -28,9 +29,32 @@ from .whitening import Projection
 RHO = 0.25  # where the finer mesh has half the element size
 ORDER = math.log2((1 + RHO) / RHO)
 LEAST = 0.1  # of D may always be left
+BETWEEN = math.sqrt(1.0 / 3.0)  # standard deviation of what lies anywhere between -1 and 1
 LARGEST_LAMBDA, LARGEST_SHIFT = 1.0, 0.2
 REACH = 1.0 / 3.0  # length of the kernel, in ranges of a coordinate
 ELSEWHERE = 0.5  # correlation between conditions of one block
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What finer meshes add to a prediction: `offset` (rows,), D, and `softness` (rows,), H, zero where no softer elements are known."""
+
+    offset: Float[np.ndarray, "rows"]
+    softness: Float[np.ndarray, "rows"]
+
+    def left(self, rows: Rows, rho: float = RHO) -> Float[np.ndarray, "rows rows"]:
+        """Sigma_disc, block by block."""
+        whole = np.zeros((len(rows), len(rows)))
+        for name, where in rows.blocks.items():
+            condition = rows.condition[where]
+            alike = np.where(condition[:, None] == condition, 1.0, ELSEWHERE)
+            for values in rows.coordinates.get(name, {}).values():
+                span = float(np.ptp(values))
+                place = np.asarray(values, dtype=float) / (REACH * span) if span > 0 else np.zeros(len(condition))
+                alike = alike * np.exp(-0.5 * (place[:, None] - place) ** 2)
+            size = np.hypot(rho * self.offset[where], self.softness[where] * BETWEEN)
+            whole[where, where] = np.outer(size, size) * alike
+        return whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +107,17 @@ def unchecked(rows: int, p: int) -> MeshGuard:
 
 def correction(
     subject: AbstractSubject, raw: Float[np.ndarray, "p"], phi: Mapping[str, float], here: Evaluation | None = None
-) -> Float[np.ndarray, "rows"] | None:
+) -> Correction | None:
     """D at a point, where the model is `here`; None where there is no finer mesh, or one of the two gave no answer."""
     finer = subject.finer(raw, phi)
     if finer is None or not np.isfinite(finer).all():
         return None
     here = subject.evaluate(raw, phi, ()) if here is None else here
-    return np.asarray(finer, dtype=float) - here.prediction if here.usable else None
+    if not here.usable:
+        return None
+    half = subject.softness(raw, phi)
+    half = np.zeros(len(finer)) if half is None or not np.isfinite(half).all() else np.asarray(half, dtype=float)
+    return Correction(np.asarray(finer, dtype=float) + half - here.prediction, half)
 
 
 def share_left(refinement: float) -> float:
@@ -97,31 +125,23 @@ def share_left(refinement: float) -> float:
     return max(1.0 / (refinement**-ORDER - 1.0), LEAST)
 
 
-def leftover(rows: Rows, offset: Float[np.ndarray, "rows"], rho: float = RHO) -> Float[np.ndarray, "rows rows"]:
-    """Sigma_disc, block by block."""
-    whole = np.zeros((len(rows), len(rows)))
-    for name, where in rows.blocks.items():
-        condition = rows.condition[where]
-        alike = np.where(condition[:, None] == condition, 1.0, ELSEWHERE)
-        for values in rows.coordinates.get(name, {}).values():
-            span = float(np.ptp(values))
-            place = np.asarray(values, dtype=float) / (REACH * span) if span > 0 else np.zeros(len(condition))
-            alike = alike * np.exp(-0.5 * (place[:, None] - place) ** 2)
-        size = rho * np.abs(offset[where])
-        whole[where, where] = np.outer(size, size) * alike
-    return whole
-
-
-def guard(best: Optimum, offset: Float[np.ndarray, "rows"], left: Float[np.ndarray, "rows rows"], rho: float = RHO) -> MeshGuard:
+def guard(best: Optimum, known: Correction, rho: float = RHO) -> MeshGuard:
     """How far what may be left of the mesh's error reaches, at an optimum of the sample that has both in it."""
     sample, p = best.sample, len(best.raw)
-    whitened = sample.columns(rho * offset[:, None])[:, 0]
+    may_be = np.stack([rho * known.offset, BETWEEN * known.softness], axis=1)
+    whitened = sample.columns(may_be)
     raw = (best.projection.inverse @ whitened)[:p]
+    raw = np.where(np.abs(raw[:, 0]) >= np.abs(raw[:, 1]), np.sign(raw[:, 0]), np.sign(raw[:, 1])) * np.hypot(*raw.T)
     sd = np.sqrt(np.diag(best.projection.covariance()))[:p]
     shift = np.divide(raw, sd, out=np.zeros(p), where=sd > 0)
-    bare = sample.corrected(offset, -left)
+    left = known.left(sample.subject.rows, rho)
+    bare = sample.corrected(known.offset, -left)
     projection = Projection.of(bare.jacobian(best.at, best.raw))
-    reach = 4.0 * float(np.sum(projection(bare.columns(offset[:, None])[:, 0]) ** 2))
+    reach = 4.0 * _size(projection, bare.columns(np.stack([known.offset, BETWEEN * known.softness], axis=1)))
     residual = projection(bare.residual(best.at, best.raw))
     misfit = float(np.sum(residual**2)) - (residual.size - projection.rank)
-    return MeshGuard(offset, left, float(np.sum(best.projection(whitened) ** 2)), shift, raw, reach, misfit, rho)
+    return MeshGuard(known.offset, left, _size(best.projection, whitened), shift, raw, reach, misfit, rho)
+
+
+def _size(projection: Projection, columns: Float[np.ndarray, "rows k"]) -> float:
+    return float(sum(np.sum(projection(column) ** 2) for column in columns.T))

@@ -288,6 +288,10 @@ class AbstractSubject(abc.ABC):
         """The prediction on a finer mesh; None where there is none."""
         return None
 
+    def softness(self, raw: Float[np.ndarray, "p"], phi: Mapping[str, float]) -> Float[np.ndarray, "rows"] | None:
+        """Half of what softer elements on the finer mesh predict more; None where there are none."""
+        return None
+
     def proposals(self, raw: Float[np.ndarray, "p"]) -> tuple[Proposal, ...]:
         """Measurements that could be made next. Repeats of the conditions that were measured need not be among them."""
         return ()

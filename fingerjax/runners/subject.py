@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..fem.cholesky import Indefinite
 from ..fem.tissue import Linear
 from ..forward.inner import Force, between, first_order, inner_slopes, of_law
-from ..forward.model import Assembled
+from ..forward.model import Assembled, softened
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
 from ..forward.strained import Strained, strained_readings
@@ -55,6 +55,7 @@ class FingerSubject(AbstractSubject):
         self.families = tuple(family(effect) for effect in self.effects.values())
         self._ways = {column.key: column for family in self.families for column in (*family.columns, *family.second)}
         self._fine: Assembled | None = None
+        self._soft: Assembled | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
         self._last: dict[bool, tuple[Strained, dict[str, float]]] = {}
         self._added: dict[bool, tuple[str, tuple[np.ndarray, Strained, Assembled] | None]] = {}
@@ -131,9 +132,20 @@ class FingerSubject(AbstractSubject):
         more = self._beyond(raw, amounts, finely=True) or self._beyond(raw, amounts)
         return None if more is None else fine + more[0]
 
+    def softness(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Float[np.ndarray, " rows"] | None:
+        """Of the tissue without any law: what that adds is no larger where elements are softer."""
+        if self._fine is None or self._soft is None:
+            return None
+        amounts = self._amounts({key: value for key, value in phi.items() if not self._is_law(key)})
+        try:
+            fine, soft = (self._value_of(self._variants.on(each, amounts), raw, amounts) for each in (self._fine, self._soft))
+        except ValueError:  # an element turns over
+            return None
+        return None if fine is None or soft is None else (soft - fine) / 2
+
     def refine(self, fine: Assembled, refinement: float) -> None:
-        """Give the subject a finer mesh to check itself against, with elements of `refinement` times the size."""
-        self._fine, self.refinement = fine, refinement
+        """Give the subject a finer mesh to check itself against, with elements of `refinement` times the size, and softer ones on it."""
+        self._fine, self._soft, self.refinement = fine, softened(fine), refinement
 
     def account(self) -> Mapping[str, object]:
         fine = None if self._fine is None else len(self._fine.mesh.nodes)
