@@ -1,7 +1,12 @@
 """How every test is run: float64, no silent promotion, no window, and where the measured data are.
 
 Meshes are kept where the program keeps them (`FINGERJAX_CACHE`, or the user's cache folder), so that a second
-run of the tests does not mesh again.
+run of the tests does not mesh again. pytetwild never makes the same skin twice, and a test that fails on one mesh
+in twenty tells nobody why: the skins in `tests/skins`, made once by these tests, are put there first, so that every
+machine runs on the same ones. Meshes of whatever a new test asks for, and those of nested shells, are made as always. To
+run on fresh skins, and renew the kept ones:
+
+    FINGERJAX_SKINS=fresh FINGERJAX_CACHE=/a/new/folder python -m pytest && cp /a/new/folder/*-skin.npz tests/skins
 """
 
 from __future__ import annotations
@@ -37,6 +42,21 @@ def _forget_programs() -> Iterator[None]:
 
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+def pytest_sessionstart() -> None:
+    """Puts the skins of `tests/skins` where the program looks for its meshes, unless `FINGERJAX_SKINS=fresh`."""
+    if os.environ.get("FINGERJAX_SKINS") == "fresh":
+        return
+    from fingerjax.mesh.cache import cache_dir  # not before the hook that checks shapes and types is in place
+
+    folder = cache_dir()
+    for skin in (REPOSITORY / "tests" / "skins").glob("*.npz"):
+        if not (folder / skin.name).exists():
+            handle, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
+            os.close(handle)
+            shutil.copyfile(skin, temporary)
+            os.replace(temporary, folder / skin.name)
 
 
 @pytest.fixture(scope="session")
