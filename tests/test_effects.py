@@ -23,6 +23,7 @@ from fingerjax.fem.springs import bed, facets, film, springs, tension
 from fingerjax.fem.stiffness import Elastic
 from fingerjax.forward import Assembled, assemble, rigs
 from fingerjax.forward.model import changed, lay_out
+from fingerjax.forward.readings import growth
 from fingerjax.geometry.presets import preset
 from fingerjax.mesh import Resolution, build_finger
 from fingerjax.mesh.jacobian import volumes
@@ -234,7 +235,7 @@ def test_relaxation_of_a_ramp_and_hold_is_its_convolution() -> None:
     relaxation = next(effect for effect in catalogue() if effect.name == "relaxation")
     time = np.array([0.0, 0.1, 0.25, 0.4, 1.0, 2.0, 5.0])
     force = np.minimum(time / 0.4, 1.0) * 2.0
-    said = Reading(jnp.asarray(force), jnp.asarray(force), jnp.asarray(force), context(time, force))
+    said = Reading(*[jnp.asarray(force)] * 4, context(time, force))
     share, tau = 0.4, 0.7
     amount = relaxation.null() | {"share": share, "time": tau}
     found = relaxation.read(said, {name: jnp.asarray(value) for name, value in amount.items()}).value
@@ -250,7 +251,7 @@ def test_a_lagging_force_follows_its_filter() -> None:
     lag = next(effect for effect in catalogue() if effect.name == "force_lag")
     time = np.linspace(0.0, 1.0, 11)
     force = 3.0 * time
-    said = Reading(jnp.asarray(force), jnp.asarray(force), jnp.asarray(force), context(time, force))
+    said = Reading(*[jnp.asarray(force)] * 4, context(time, force))
     found = lag.read(said, {"time": jnp.asarray(0.05)}).value
     Grade(1e-12, 1e-12, "exact for a ramp").check(found, 3.0 * (time - 0.05 * (1 - np.exp(-time / 0.05))))
     slope = jax.jacfwd(lambda t: lag.read(said, {"time": t}).value)(jnp.asarray(0.0))
@@ -274,7 +275,7 @@ def test_a_clock_that_began_late_moves_corners_and_leaves_them_sharp() -> None:
         False,
     )
     force = jnp.asarray(np.concatenate([corner(time), 2 * corner(time)]))
-    said = Reading(force, force, force, two)
+    said = Reading(force, force, force, force, two)
     found = late.read(said, {"delay": jnp.asarray(0.15)}).value
     Grade(1e-12, 1e-12, "knots fall on knots").check(found, np.concatenate([corner(time - 0.15), 2 * corner(time - 0.15)]))
     sooner = late.read(said, {"delay": jnp.asarray(-0.125)}).value
@@ -286,9 +287,50 @@ def test_a_clock_that_began_late_moves_corners_and_leaves_them_sharp() -> None:
     DIFFERENCED.check(slope, np.concatenate([rising, 2 * rising]))
 
 
+def test_adhesion_of_a_sphere_is_what_jkr_tends_to() -> None:
+    """Johnson, Kendall & Roberts (1971) on an elastic half-space, as the work of adhesion goes to nothing."""
+    adhesion = next(effect for effect in catalogue() if effect.name == "adhesion")
+    E, R, d = 0.05, 4.0, 0.5  # MPa of plane strain, mm, mm
+
+    def jkr(a: np.ndarray, w: float) -> tuple[np.ndarray, np.ndarray]:
+        """Travel, mm, and force, N, at a contact radius, mm, and work of adhesion, N/mm."""
+        return a**2 / R - np.sqrt(2 * np.pi * a * w / E), 4 * E * a**3 / (3 * R) - np.sqrt(8 * np.pi * w * E * a**3)
+
+    force = 4 * E * np.sqrt(R) * d**1.5 / 3
+    by_travel, by_force = np.array([np.pi * R]), np.array([np.pi * R / (2 * E * np.sqrt(R * d))])
+    one = context(np.zeros(1), np.array([d]))
+    wrong = []
+    for work in (4e-4, 1e-4):  # N/m
+        a = np.linspace(0.95, 1.05, 200001) * np.sqrt(R * d)
+        travel, held = jkr(a, 1e-3 * work)
+        for forced, grown, start, exact in (
+            (False, by_travel, force, np.interp(d, travel, held)),
+            (True, by_force, d, np.interp(force, held, travel)),
+        ):
+            begun = jnp.array([start])
+            said = Reading(begun, begun, begun, jnp.asarray(grown), dataclasses.replace(one, forced=forced))
+            found = float(adhesion.read(said, {"work": jnp.asarray(work)}).value[0])
+            wrong.append((found - exact) / (exact - start))
+    assert np.all(np.abs(wrong) < 0.04)
+    np.testing.assert_allclose(np.array(wrong[:2]) / wrong[2:], 2.0, rtol=0.1)  # what is left out is of order w^(3/2)
+
+
+def test_how_contact_grows_is_read_off_from_the_depths_that_were_asked_for(ready: Assembled) -> None:
+    rig = next(each for each in ready.model.instruments.rigs if each.kind == "force_displacement")
+    depth = jnp.array([0.8, 0.2, 0.5, 0.2, 0.4, 0.0, -0.1])
+    place = jnp.array([0, 0, 0, 1, 0, 0, 0])
+    one = dataclasses.replace(rig, imposed=depth, pose=place, variant=jnp.zeros(7, int))
+    area = jnp.where(place == 0, 3.0, 7.0) * jnp.maximum(depth, 0.0) ** 1.3
+    found = growth(one, area)
+    Grade(1e-12, 1e-12, "exact for a power law").check(found[jnp.array([0, 1, 2, 4])], 3.9 * depth[jnp.array([0, 1, 2, 4])] ** 0.3)
+    SAME_ARITHMETIC.check(found[3], area[3] / 0.2)
+    np.testing.assert_array_equal(found[5:], 0.0)
+    assert np.isfinite(jax.jacfwd(lambda area: growth(one, area))(area)).all()
+
+
 def test_saturation_and_power_law_keep_silence_silent() -> None:
     rates = jnp.asarray([0.0, 10.0, 50.0, 90.0])
-    said = Reading(rates, rates, rates, dataclasses.replace(context(np.arange(4.0), np.arange(4.0)), kind="spike_rate"))
+    said = Reading(rates, rates, rates, rates, dataclasses.replace(context(np.arange(4.0), np.arange(4.0)), kind="spike_rate"))
     by_name = {effect.name: effect for effect in catalogue()}
     bent = by_name["rate_power_law"].read(said, {"exponent_beyond_one": 0.5}).value
     SAME_ARITHMETIC.check(bent, [0.0, 10 * 0.2**0.5, 50.0, 90 * 1.8**0.5])

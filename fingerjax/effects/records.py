@@ -126,11 +126,15 @@ class Felt(eqx.Module):
 
 
 class Reading(eqx.Module):
-    """What is read in every row, in the measurement's own unit, under the contact force (rows,), N, and travel (rows,), mm."""
+    """What is read in every row, in the measurement's own unit, under the contact force (rows,), N, and travel (rows,), mm.
+
+    `growth` (rows,): mm^2 of contact that each mm of travel adds, or each N where the force is imposed.
+    """
 
     value: Float[Array, " r"]
     force: Float[Array, " r"]
     travel: Float[Array, " r"]
+    growth: Float[Array, " r"]
     context: Context
 
     @property

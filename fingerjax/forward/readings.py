@@ -85,7 +85,8 @@ class Instruments(eqx.Module):
         for rig, (contact, observed) in zip(self.rigs, found, strict=True):
             settled, inside = settled & contact.settled.all(), inside & ~contact.reached_edge.any()
             value, sensed = self._rows(rig, contact, observed, values, quantity)
-            read = self.added.read(Reading(value, contact.force[rig.case], contact.travel[rig.case], rig.context), values)
+            force, travel, grown = (each[rig.case] for each in (contact.force, contact.travel, growth(rig, contact.area)))
+            read = self.added.read(Reading(value, force, travel, grown, rig.context), values)
             readings[rig.measurement] = readings[rig.measurement].at[rig.row].set(read.value)
             felt[rig.measurement] = felt[rig.measurement].at[rig.row].set(sensed)
         return Prediction(tuple(readings), tuple(felt), health.converged, settled, inside, health.iterations, health.residual)
@@ -111,6 +112,22 @@ class Instruments(eqx.Module):
         threshold = jnp.stack([self.wired.value(f"{name}.threshold", each, values) for each in labels])
         which = rig.variant[rig.case]
         return rate(felt, scale[which], threshold[which])
+
+
+def growth(rig: Rig, area: Float[Array, " cases"]) -> Float[Array, " cases"]:
+    """Contact area, mm^2, that each mm of travel adds, or each N where force is imposed, from the cases of a rig: a power law through the
+    next shallower and the next deeper one at the same place in the same tissue; in proportion where there is no other.
+    """
+    x = rig.imposed
+    same = (rig.pose[:, None] == rig.pose) & (rig.variant[:, None] == rig.variant) & ((x > 0) & (area > 0))
+    own = jnp.arange(len(x))
+    shallower, deeper = same & (x < x[:, None]), same & (x > x[:, None])
+    low = jnp.where(shallower.any(axis=1), jnp.argmax(jnp.where(shallower, x, -jnp.inf), axis=1), own)
+    high = jnp.where(deeper.any(axis=1), jnp.argmin(jnp.where(deeper, x, jnp.inf), axis=1), own)
+    touches = (x > 0) & (area > 0)
+    log_x, log_area = (jnp.log(jnp.where(touches, each, 1.0)) for each in (x, area))
+    power = jnp.where(high == low, 1.0, (log_area[high] - log_area[low]) / jnp.where(high == low, 1.0, log_x[high] - log_x[low]))
+    return jnp.where(touches, power * area / jnp.where(touches, x, 1.0), 0.0)
 
 
 class Solved(eqx.Module):
