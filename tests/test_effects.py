@@ -25,6 +25,7 @@ from fingerjax.forward import Assembled, assemble, rigs
 from fingerjax.forward.model import changed, lay_out
 from fingerjax.forward.readings import growth
 from fingerjax.geometry.presets import preset
+from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh import Resolution, build_finger
 from fingerjax.mesh.jacobian import volumes
 from fingerjax.runners.subject import FingerSubject
@@ -116,13 +117,30 @@ def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubj
             chosen_ways.setdefault((way.family, way.name), key)
     keys = tuple(chosen_ways.values())
     scale = np.array([subject._ways[key].scale for key in keys])
-    at = np.array([subject._ways[key].null for key in keys]) + 0.1 * scale
+    away = np.array([0.0 if key == "adhesion.work" else 0.1 for key in keys])
+    at = np.array([subject._ways[key].null for key in keys]) + away * scale
     found = subject.evaluate(raw, dict(zip(keys, at, strict=True)), keys)
     assert found.usable and len(keys) >= 18
     for seed in range(3):
         way = scale * np.random.default_rng(seed).standard_normal(len(keys))
         ends = [subject.evaluate(raw, dict(zip(keys, at + sign * 1e-5 * way, strict=True)), ()).prediction for sign in (1, -1)]
         Grade(1e-4, 1e-7, "contacts are decided anew on both sides").check(found.phi_jacobian @ way, (ends[0] - ends[1]) / 2e-5)
+
+
+def test_slopes_under_adhesion_leave_out_no_more_than_it_says(subject: FingerSubject) -> None:
+    """By its own work they are exact, by the material but for what closes a gap: at most two fifths of adhesion's own share."""
+    raw, key, work = start(subject), "adhesion.work", 0.05
+    found = subject.evaluate(raw, {key: work}, (key,))
+    own, layers = work * found.phi_jacobian[:, 0], np.eye(len(raw))[: len(SOFT_LAYERS)]
+    assert np.max(np.abs(own)) > 0.01
+
+    def slope(way: np.ndarray, more: float) -> np.ndarray:
+        ends = [subject.evaluate(raw + sign * way, {key: work + sign * more}, ()).prediction for sign in (1, -1)]
+        return (ends[0] - ends[1]) / 2
+
+    Grade(1e-6, 1e-10, "the forces are linear in the work").check(1e-3 * found.phi_jacobian[:, 0], slope(0 * raw, 1e-3))
+    missing = np.sum([np.abs(found.theta_jacobian @ one - slope(1e-5 * one, 0.0) / 1e-5) for one in layers], axis=0)
+    assert np.all(missing <= 0.4 * np.abs(own) + 1e-4 * np.abs(found.theta_jacobian).max(axis=1))
 
 
 @pytest.mark.slow
