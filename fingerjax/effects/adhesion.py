@@ -7,8 +7,8 @@ order in w its own change does not count (Johnson, Kendall & Roberts 1971, whose
 
 How the area grows is read off from the depths, or forces, of the same place that are in the data. What adhesion does to a profile or a
 receptor beside the contact is not known to this order. Nothing is remembered of the way: skin that holds on while it is withdrawn says
-"much", not how much. Slopes by the material take the force that would close a gap as it is: they leave out up to two fifths of this
-effect's own share in them, and are exact where the work is nothing.
+"much", not how much. Slopes by the material take the force that would close a gap as it is: what they leave out, per e-fold of a modulus,
+is less than this effect's own share of the reading.
 """
 
 from __future__ import annotations

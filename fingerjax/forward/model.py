@@ -7,6 +7,7 @@ that each indentation is a small dense contact problem, and each reading a produ
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -258,7 +259,8 @@ def meshed(
     planned = plans(study.measurements, solid, wiring(study))
     tell(0.9, "meshing")
     asked = study.finger.resolution
-    fine = foci(planned, solid, asked.pad_mm, asked.least_mm or 0.0) if focused else tips(planned, solid, size * asked.pad_mm)
+    pad = math.inf if even else asked.pad_mm  # an even mesh is fine under probes however coarse its pad is
+    fine = foci(planned, solid, pad, asked.least_mm or 0.0) if focused else tips(planned, solid, size * asked.pad_mm)
     finger = mesh_of(study, solid, fine, size, even)
     if coarse := _too_coarse(finger):
         tell(1.0, coarse)

@@ -32,6 +32,7 @@ from ..study import Study
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
 COARSEST = 1.6  # of the resolution that was asked for
 EVEN = 2.0  # largest node spacing over the pad's, of an even mesh
+EVEN_WEDGE = 2.0  # of the spacing under a wedge: there as fine as on the pad, or it would have most of an even mesh's nodes
 ROUND = 4.0  # node spacings to a finger's largest radius, at least, of an even mesh
 RIM = 2.0 / 3.0  # of the coarsest spacing: nodes along the rim of the nail
 EVEN_RIM = 0.8  # of the pad's spacing: the same of an even mesh
@@ -93,7 +94,7 @@ def mesh_of(
         pad, proximal = size * said.resolution.pad_mm, size * said.resolution.proximal_mm
         return disc_mesh(solid, Resolution(pad, max(pad, proximal)))
     assert isinstance(solid, LayeredSolid), "a finger's surfaces come from its sections"
-    everywhere, wedge = (size, size) if even else (min(size, COARSEST), size * max(size, 1.0))
+    everywhere, wedge = (size, EVEN_WEDGE * size) if even else (min(size, COARSEST), size * max(size, 1.0))
     pad, coarsest = said.resolution.pad_mm, said.resolution.proximal_mm
     resolution = Resolution(everywhere * pad, everywhere * (min(coarsest, EVEN * pad) if even else coarsest))
     if even:  # as round as a finger must be to be meshed at all
