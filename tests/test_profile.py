@@ -170,6 +170,26 @@ def test_scipys_bounded_solver_ends_at_the_same_place(upper: float) -> None:
     assert (ours.limits == {"slope": "upper"}) == math.isfinite(upper)
 
 
+@pytest.mark.filterwarnings("ignore:JAXopt is no longer maintained:DeprecationWarning")
+@pytest.mark.parametrize("highest", [math.inf, 0.5])
+@pytest.mark.parametrize("case", [MISRA1A, RAT42], ids=lambda case: case.name)
+def test_jaxopts_bounded_solver_ends_at_the_same_place(case: Any, highest: float) -> None:
+    """L-BFGS-B, which knows nothing of residuals; `highest`: share of its certified value that the last parameter may reach."""
+    from jaxopt import LBFGSB
+
+    limits = [1e3 * abs(value) for value in case.values]
+    limits[-1] = min(limits[-1], highest * case.values[-1])
+    starts = [min(value, 0.9 * limit) for value, limit in zip(case.starts[1], limits, strict=True)]
+    parameters = [Parameter(f"b{j}", start, upper=limit, lower=1e-9) for j, (start, limit) in enumerate(zip(starts, limits, strict=True))]
+    task = problem(lambda b: case.model(jnp.asarray(case.x), b), np.asarray(case.y), parameters)
+    ours = fit(task)
+    lower, upper = (jnp.asarray(sides) for sides in zip(*(one.raw_limits() for one in parameters), strict=True))
+    solver = LBFGSB(fun=lambda raw: 0.5 * jnp.sum(task.residuals(raw)[0] ** 2), maxiter=5000, tol=1e-9, history_size=20)
+    theirs = solver.run(jnp.asarray(task.start()), bounds=(lower, upper)).params
+    np.testing.assert_allclose(ours.raw, theirs, rtol=1e-5)
+    assert (ours.limits == {f"b{len(parameters) - 1}": "upper"}) == math.isfinite(highest)
+
+
 def test_a_loss_of_no_name_is_refused() -> None:
     with pytest.raises(ValueError, match="unknown loss 'squares'; choose one of linear"):
         fit(problem(lambda b: b[0] * X, X, [Parameter("slope", 1.0)], loss="squares"))
