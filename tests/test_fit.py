@@ -152,6 +152,24 @@ def test_a_model_that_is_not_finite_stops_it() -> None:
     assert "not finite" in found.reason
 
 
+@pytest.mark.parametrize(("pull", "ends"), [(0.05, True), (0.5, False)])
+def test_an_optimum_on_an_edge_is_one_where_its_sides_promise_little(pull: float, ends: bool) -> None:
+    """Beyond 1.5 the prediction goes on in another direction, and the data pull towards that edge from both sides."""
+    ways, _ = np.linalg.qr(np.random.default_rng(5).standard_normal((20, 20)))
+    rest = ways[:, 3:] @ np.ones(17)
+    y = 2.0 * ways[:, 0] + 1.5 * ways[:, 1] + pull * (ways[:, 1] - ways[:, 2]) + rest
+
+    def model(x: Any, b: Any) -> Any:
+        return b[0] * ways[:, 0] + jnp.minimum(b[1], 1.5) * ways[:, 1] + jnp.maximum(b[1] - 1.5, 0.0) * ways[:, 2]
+
+    parameters = [Parameter(name, start, "1", "identity", -math.inf, math.inf) for name, start in (("a", 1.0), ("c", 0.3))]
+    found = fit(problem(model, y, y, parameters))
+    assert found.settled is ends
+    assert found.raw[1] == pytest.approx(1.5, abs=1e-3)
+    if ends:
+        assert "on an edge" in found.reason and found.gradient > 1e-6 and found.evaluations < 40
+
+
 def test_steps_that_run_out_are_no_optimum() -> None:
     found = fit(certified(MISRA1A, 0, "log"), max_steps=3)
     assert found.result is RESULTS.no_optimum

@@ -32,6 +32,9 @@ NEAR = 1e-3  # standard errors from the optimum at which a fit that cannot go on
 LEVEL = 0.1  # relative gradient from which on the secant may be asked: far from an optimum it misleads
 SLOW = 0.1  # of the gradient is left after a good step of Gauss and Newton near an optimum; where more is, the secant knows better
 SEATINGS = 3  # times a settled fit is asked whether its afferents could be seated better
+# Evaluations in which neither chi2, by this many squared standard errors, nor the gradient, below this share of itself, fell: a fit that
+# is left with so few standard errors to gain is on an edge, where contact opens and the slopes of both sides lead to it.
+LOOKED_BACK, FELL, FLATTER, EDGE = 8, 1e-3, 0.3, 0.1
 REFUSED = 10  # failed evaluations in all after which a fit gives up
 
 
@@ -133,6 +136,7 @@ class _Record:
     refused: int = 0
     stuck: int = 0
     history: list[Step] = field(default_factory=list)
+    reached: list[tuple[float, float]] = field(default_factory=list)  # (chi2, gradient) of the best point after each evaluation
     progress: Callable[[Step], object] | None = None
 
     def take(self, point: Point) -> None:
@@ -145,6 +149,7 @@ class _Record:
         self.refused += not point.usable
         gradient = self.slope_at(point) if point.usable else math.nan
         self.history.append(Step(self.steps, point.chi2, gradient, accepted, seconds))
+        self.reached.append((self.best.chi2, self.gradient))
         if self.progress is not None:
             self.progress(self.history[-1])
 
@@ -154,8 +159,19 @@ class _Record:
         lengths = np.linalg.norm(free, axis=0)
         basis, singular, _ = np.linalg.svd(free[:, lengths > 0] / lengths[lengths > 0], full_matrices=False)
         basis = basis[:, singular > 1e-10]
-        spread = math.sqrt(self.best.chi2 / max(self.best.residual.size - self.best.raw.size, 1))
-        return float(np.linalg.norm(basis.T @ self.best.residual)) / max(spread, PERFECT)
+        return float(np.linalg.norm(basis.T @ self.best.residual)) / self.spread()
+
+    def spread(self) -> float:
+        """Root mean square of the residuals, `PERFECT` at least."""
+        return max(math.sqrt(self.best.chi2 / max(self.best.residual.size - self.best.raw.size, 1)), PERFECT)
+
+    def on_an_edge(self) -> bool:
+        """Has nothing been gained for long, neither in chi2 nor in the gradient, with little left to gain on either side?"""
+        if len(self.reached) <= LOOKED_BACK:
+            return False
+        chi2, gradient = self.reached[-1 - LOOKED_BACK]
+        still = chi2 - self.best.chi2 < FELL * self.spread() ** 2 and self.gradient > FLATTER * gradient
+        return still and self.remaining() <= EDGE
 
     def limits(self) -> dict[str, str]:
         sides = {
@@ -209,7 +225,8 @@ def fit(
     **Returns:** a `Fit`. It never raises for a fit that ends badly: `Fit.result` is then `not_converged` (a
     solve inside failed at the start or kept failing), `no_optimum` (no step goes down, or they ran out) or `interrupted` (Ctrl-C),
     `Fit.values` are NaN and the best point so far is kept in `Fit.raw`. A trial point whose solves failed is
-    never accepted.
+    never accepted. A least chi2 may lie where contact opens and its slope jumps: there no gradient vanishes, and the fit ends when nothing
+    is gained any more and the slopes of either side promise less than a tenth of a standard error; `Fit.reason` says so.
 
     A threshold makes chi2 flat where nothing fires and gives it several minima. So scale and threshold of an afferent are begun from, and
     once settled compared with, the best of all for the other values (`Problem.reseat`).
@@ -291,6 +308,8 @@ def _descend(
             return record.end(RESULTS.not_converged, _failure(f"at {REFUSED} trial points", point))
         if _stalled(record, trial):
             return _at_a_stand(record)
+        if record.on_an_edge():
+            return record.end(RESULTS.successful, _edge(record))
     return record.end(RESULTS.successful, f"optimum after {record.steps} steps")
 
 
@@ -349,6 +368,14 @@ def _at_a_stand(record: _Record) -> Fit:
     story = f"no step goes down after {record.steps} (relative gradient {record.gradient:.1e}"
     story += f", {distance:.1e} standard errors from the optimum)"
     return record.end(RESULTS.successful if distance <= NEAR else RESULTS.no_optimum, story)
+
+
+def _edge(record: _Record) -> str:
+    """A kink, told with what its sides still promise."""
+    return (
+        f"optimum after {record.steps} steps, on an edge where contact opens or closes "
+        f"(relative gradient {record.gradient:.1e}, {record.remaining():.1e} standard errors to gain by the slopes of one side)"
+    )
 
 
 def _failure(where: str, point: Point) -> str:
