@@ -1,10 +1,10 @@
 """How often the residual loop is right about laboratories it has never seen, made by another finite-element program.
 
-`python -m benchmarks.blind [--quick] [--seeds N] [--scenarios a,b] [--noise 0.02] [--out FOLDER] [--mesh] [--json FILE]`
+`python -m benchmarks.blind [--quick] [--thin] [--seeds N] [--scenarios a,b] [--noise 0.02] [--out FOLDER] [--mesh] [--json FILE] [--write]`
 
 Writes every scenario of `tests/blind` with N draws of noise, runs `fingerjax diagnose` on each as its own process, and scores the reports
-against the truths. What is finished is kept in FOLDER, so that a run that was stopped goes on. `--quick` takes eight scenarios with a
-coarse mesh and few rows.
+against the truths. What is finished is kept in FOLDER, so that a run that was stopped goes on. `--thin` asks for coarse meshes and takes
+few rows, `--quick` eight scenarios of that kind. `--write` makes docs/blind.md, with every laboratory's verdict.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 
 import yaml
 
-from benchmarks._record import Figure, record, table, write
+from benchmarks._record import Figure, listed, record, table, write
 from tests.blind import folders, score
 from tests.blind.scenarios import SCENARIOS
 from tests.blind.truths import Truths, in_order
@@ -37,6 +37,12 @@ QUICK = (
     "load_cell_gain",
 )
 COARSER = 1.4
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "blind.md"
+TEXT = """Laboratories that another finite-element program made, each with an effect of another form than the catalogue's, diagnosed as a
+user would, and scored against truths that the diagnosis never saw. lambda: what the effect adds to the misfit of the plain model, in units
+of the variance of the noise alone; a diagnosis counts as well what the mesh leaves and what any model may be wrong by, so that it can
+miss effects that lambda calls strong. {kind} {seeds} of each laboratory, noise {noise:g} of the largest reading, 4 trials. Written by
+`python -m benchmarks.blind --write`. Measured on"""
 TIMEOUT = 3600.0
 """s after which a diagnosis is given up."""
 
@@ -116,6 +122,25 @@ def _figure(line: score.Line) -> Figure:
     return Figure(line.name, line.value, "1", words, low <= line.value <= high, note)
 
 
+def page(found: Sequence[score.Outcome], measured: Sequence[Figure], *, thin: bool, seeds: int, noise: float) -> str:
+    """The table of scores, and what was said of every laboratory."""
+    kind = "Coarse studies with few rows (`--thin`)." if thin else "Meshes and rows in full."
+    drawn = "One draw" if seeds == 1 else f"{seeds} draws"
+    text = TEXT.format(kind=kind, seeds=drawn, noise=noise)
+    head = ["laboratory", "behind it", "lambda", "plain model", "verdict", "named", "among the explanations", "held-out error"]
+    rows = [head, ["---"] * len(head), *map(_cells, sorted(found, key=lambda one: (one.kind, one.case)))]
+    lines = ["## Every laboratory", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
+    return listed("Blind laboratories: how often a diagnosis is right", text)(measured) + "\n" + "\n".join(lines)
+
+
+def _cells(one: score.Outcome) -> list[str]:
+    held = "" if one.held_out is None else " -> ".join(f"{100 * value:.2g} %" for value in one.held_out)
+    behind = f"{one.kind}: {', '.join(one.families)}" if one.families else one.kind
+    there = "" if not one.families or not one.named else "yes" if one.found else "in part" if not one.wrong else "no"
+    rejected = "rejected" if one.rejected else "not rejected"
+    return [one.case, behind, f"{one.excess:.3g}", rejected, one.verdict, ", ".join(one.named), there, held]
+
+
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
@@ -124,22 +149,29 @@ def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="eight scenarios, coarse mesh, few rows")
+    parser.add_argument("--thin", action="store_true", help="coarse mesh and few rows")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="draws of noise of each scenario")
     parser.add_argument("--scenarios", default="", metavar="a,b", help=f"of: {', '.join(SCENARIOS)}")
     parser.add_argument("--noise", type=float, default=0.02, help="share of the largest reading")
     parser.add_argument("--out", type=Path, default=Path("build/blind"), metavar="FOLDER", help="laboratories, truths and reports")
     parser.add_argument("--mesh", action="store_true", help="only ask how much the truths change on coarser bricks")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
+    parser.add_argument("--write", action="store_true", help=f"renew {PAGE.parent.name}/{PAGE.name} as well")
     said = parser.parse_args(arguments)
     names = [name for name in said.scenarios.split(",") if name] or list(QUICK if said.quick else SCENARIOS)
     if unknown := sorted(set(names) - set(SCENARIOS)):
         parser.error(f"no scenario is called {', '.join(unknown)}")
-    folder = said.out / ("thin" if said.quick else "full")
+    thin = said.quick or said.thin
+    folder = said.out / ("thin" if thin else "full")
+    found: list[score.Outcome] = []
     if said.mesh:
-        measured = list(mesh_figures(folder, thin=said.quick))
+        measured = list(mesh_figures(folder, thin=thin))
     else:
-        measured = figures(*outcomes(names, said.seeds, said.noise, folder, thin=said.quick))
+        found, broken = outcomes(names, said.seeds, said.noise, folder, thin=thin)
+        measured = figures(found, broken)
     print(table(measured))
+    if said.write and found:
+        PAGE.write_text(page(found, measured, thin=thin, seeds=said.seeds, noise=said.noise), encoding="utf-8")
     if said.json is not None:
         write(said.json, record(measured, quick=said.quick))
 

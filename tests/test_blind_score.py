@@ -216,3 +216,13 @@ def test_finished_diagnoses_are_kept_and_changed_laboratories_are_diagnosed_agai
     monkeypatch.setattr(blind, "_ended", lambda command, log: False)
     (lab / "experiments.yaml").write_text("version: 2")
     assert blind.diagnosed(tmp_path) is None
+
+
+def test_the_page_tells_every_laboratory():
+    """A row each, with what is behind it, the verdict, and whether that is among the explanations."""
+    other = truth(case="hysteresis", families=["hysteresis"])
+    found = [score.judge(report(), truth()), score.judge(report(), other)]
+    told = blind.page(found, blind.figures(found, []), thin=True, seeds=1, noise=0.02)
+    assert "| contact_offset | single: contact_offset | 150 | rejected | attributed | contact_offset | yes |" in told
+    assert "| hysteresis | single: hysteresis | 150 | rejected | attributed | contact_offset | no |" in told
+    assert "noise 0.02" in told and "One draw" in told and "`--thin`" in told

@@ -226,7 +226,10 @@ def _called(outcomes: Iterable[Outcome], case: str) -> list[Outcome]:
 def _singles(outcomes: Sequence[Outcome]) -> list[Line]:
     single = [one for one in outcomes if one.kind == "single"]
     strong, middle = [one for one in single if one.excess >= 40], _between(single, 20, 40)
+    seen = [one for one in single if one.rejected]
     lines = [
+        share("one effect, plain model rejected: among the explanations", seen, lambda one: one.found, (0.95, 1.0)),
+        share("one effect, plain model rejected: another named, the right one nowhere", seen, lambda one: one.wrong, (0.0, 0.015)),
         share("one effect, lambda >= 40: among the explanations", strong, lambda one: one.found, (0.99, 1.0)),
         share("one effect, lambda >= 40: named first", strong, _first, (0.97, 1.0)),
         share("one effect, lambda 20-40: among the explanations", middle, lambda one: one.found, (0.98, 1.0)),
