@@ -14,6 +14,7 @@ from fingerjax.fem.tissue import Exponential, FiniteStrain
 from fingerjax.forward import Assembled
 from fingerjax.forward.strained import FARTHEST, Strained, strained_readings
 from fingerjax.forward.strained_slopes import strained_jacobian, strained_slopes
+from fingerjax.runners import subject as subject_of_a_finger
 from fingerjax.runners import variants
 from fingerjax.runners.subject import FingerSubject
 
@@ -92,3 +93,13 @@ def test_laws_are_followed_on_a_mesh_with_fewer_nodes_or_on_the_models_own(
     rough = made.rough({})
     assert (rough is made.base) is own
     assert own or len(rough.mesh.nodes) < len(made.base.mesh.nodes)
+
+
+@pytest.mark.parametrize(("like", "own"), [(0.5, False), (1e-6, True)])
+def test_laws_are_followed_on_the_models_own_mesh_where_a_coarser_one_reads_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, like: float, own: bool
+) -> None:
+    monkeypatch.setattr(variants, "ROUGH", 1.6)
+    monkeypatch.setattr(subject_of_a_finger, "LIKE", like)
+    subject = FingerSubject(cylinder(tmp_path, "held", "held", pad=5.0), chosen(("finite_strain",), catalogue()))
+    assert (subject._variants.rough({}) is subject.base) is own

@@ -34,6 +34,7 @@ from .variants import Amounts, Variants
 DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm about where the study begins: a factor of ten is two of them
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 TURN = 1e-5  # of a raw parameter: the step of a difference
+LIKE = 0.1  # of a measurement's readings, root mean square, that a coarser mesh may be off by for laws to be followed on it
 SEARCHED = Chording(tolerance=1e-6)  # far below what any noise or mesh leaves
 
 
@@ -48,7 +49,7 @@ class FingerSubject(AbstractSubject):
         self.absent = {effect.name: why for effect in effects if (why := effect.absent(study.measurements) or effect.lacking(ready.mesh))}
         self.effects = {effect.name: effect for effect in effects if effect.name not in self.absent}
         self.name, self.kind = study.name, "measured"
-        self._variants = Variants(ready, self.effects, solver, size)
+        self._variants = Variants(ready, self.effects, solver, size, self._alike)
         self.parameters = self.base.problem().parameters
         self.priors = _priors(self.base, self.parameters)
         self.rows = rows_of(study)
@@ -229,10 +230,20 @@ class FingerSubject(AbstractSubject):
         value = np.concatenate([np.asarray(each) for each in prediction.readings])
         return value if bool(prediction.health.converged) and np.isfinite(value).all() else None
 
+    def _alike(self, rough: Assembled, own: Assembled) -> bool:
+        """Whether linear tissue reads nearly the same on both where the study begins: on a rough mesh a sphere may not even touch."""
+        raw = np.array([one.raw() for one in self.parameters])
+        there, here = (self._elastic(each, raw, {}) for each in (rough, own))
+        if there is None or here is None:
+            return False
+        blocks = self.rows.blocks.values()
+        return all(float(np.linalg.norm(there[rows] - here[rows])) <= LIKE * float(np.linalg.norm(here[rows])) for rows in blocks)
+
     def _beyond(
         self, raw: Float[np.ndarray, " p"], amounts: Amounts, *, finely: bool = False
     ) -> tuple[np.ndarray, Strained, Assembled] | None:
         """What a law of the tissue adds to every row, found on the rough mesh or, `finely`, on that of the linear model."""
+        finely = finely and self._variants.rough(amounts) is not self._variants.of(amounts)
         key = repr((raw.tolist(), sorted((name, sorted(numbers.items())) for name, numbers in amounts.items())))
         if finely not in self._added or self._added[finely][0] != key:
             self._added[finely] = key, self._followed(raw, amounts, finely)

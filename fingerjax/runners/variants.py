@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,11 +24,19 @@ ROUGH = 1.3  # how much larger the elements are on which a law is followed; and 
 class Variants:
     """A study's model, `base`, and others with amounts of effects in them. Elements are `size` times as large as the study's own.
 
-    `compiled`: effects that are numbers in one compiled model; they are in all of them, asleep.
+    `compiled`: effects that are numbers in one compiled model; they are in all of them, asleep. `alike(rough, own)`: whether what is read
+    on a coarser mesh is near enough to what is read on the model's own for laws to be followed there.
     """
 
-    def __init__(self, ready: Assembled, effects: Mapping[str, Effect], solver: str, size: float):
-        self.effects, self.solver, self.size = effects, solver, size
+    def __init__(
+        self,
+        ready: Assembled,
+        effects: Mapping[str, Effect],
+        solver: str,
+        size: float,
+        alike: Callable[[Assembled, Assembled], bool] = lambda rough, own: True,
+    ):
+        self.effects, self.solver, self.size, self.alike = effects, solver, size, alike
         self.compiled = tuple(effect for effect in effects.values() if effect.traced)
         self.base = self._laid_out(ready, "auto")
         self._made: OrderedDict[str, Assembled | None] = OrderedDict()
@@ -52,10 +60,9 @@ class Variants:
         return self._made[key]
 
     def rough(self, amounts: Amounts) -> Assembled | None:
-        """The same on the mesh on which laws are followed: a coarser one, where there is one that has fewer nodes."""
+        """The same on the mesh on which laws are followed: a coarser one, where there is one that has fewer nodes and reads alike."""
         if self._rough is None:
-            rough = assemble(self.base.study, solver=self.solver, size=ROUGH * self.size, focused=False)
-            self._rough = self._laid_out(rough, self.solver) if len(rough.mesh.nodes) < len(self.base.mesh.nodes) else self.base
+            self._rough = self._for_laws()
         if self._rough is self.base:
             return self.of(amounts)
         made = self._linear(amounts)
@@ -63,6 +70,13 @@ class Variants:
             return self._changed(self._rough, self.together(made)) if made else self._rough
         except ValueError:
             return None
+
+    def _for_laws(self) -> Assembled:
+        rough = assemble(self.base.study, solver=self.solver, size=ROUGH * self.size, focused=False)
+        if len(rough.mesh.nodes) >= len(self.base.mesh.nodes):
+            return self.base
+        rough = self._laid_out(rough, self.solver)
+        return rough if self.alike(rough, self.base) else self.base
 
     def on(self, ready: Assembled, amounts: Amounts) -> Assembled:
         """The same on another mesh. **Raises** `ValueError` where the effects cannot be."""
