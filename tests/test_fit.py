@@ -17,6 +17,7 @@ from nist import BOXBOD, CERTIFIED, MISRA1A, Certified
 from fingerjax._results import RESULTS
 from fingerjax.identify import Health, Problem, Step, fit, uncertainty
 from fingerjax.parameters import Parameter
+from fingerjax.report.words import warnings
 
 
 def health(converged: Any = True, iterations: int = 12, residual: float = 1e-11) -> Health:
@@ -167,7 +168,9 @@ def test_an_optimum_on_an_edge_is_one_where_its_sides_promise_little(pull: float
     assert found.settled is ends
     assert found.raw[1] == pytest.approx(1.5, abs=1e-3)
     if ends:
-        assert "on an edge" in found.reason and found.gradient > 1e-6 and found.evaluations < 40
+        assert found.edge and "on an edge" in found.reason and found.gradient > 1e-6
+        assert any("on an edge" in one for one in warnings(found, uncertainty(found)))
+        assert not fit(line()).edge and found.evaluations < 40
 
 
 def test_steps_that_run_out_are_no_optimum() -> None:

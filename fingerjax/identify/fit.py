@@ -58,6 +58,7 @@ class Fit:
     - `chi2`: what was made least: the sum of squares, or of their loss.
     - `gradient`: largest |J_j . r| / (|J_j| |r|) over the parameters that are free to move: 0 at an optimum.
     - `evaluations`: how often the model was run; each gave residuals and Jacobian.
+    - `edge`: whether the optimum is a kink, where contact opens or closes, so that its gradient is not 0.
     """
 
     problem: Problem
@@ -75,6 +76,7 @@ class Fit:
     limits: dict[str, str] = field(default_factory=dict)
     history: tuple[Step, ...] = ()
     chi2: float = math.nan
+    edge: bool = False
 
     @property
     def settled(self) -> bool:
@@ -184,7 +186,7 @@ class _Record:
             found |= {name: "upper" if way > 0 else "lower" for name, gone, way in faint if gone and name not in found}
         return found
 
-    def end(self, result: RESULTS, reason: str) -> Fit:
+    def end(self, result: RESULTS, reason: str, *, edge: bool = False) -> Fit:
         limits = self.limits() if self.best.usable else {}
         if result is RESULTS.successful and limits:
             result = RESULTS.at_limit
@@ -194,6 +196,7 @@ class _Record:
         return Fit(
             self.problem, result, reason, best.raw, plain.residual, plain.jacobian, self.gradient, self.steps,
             self.evaluations, best.usable, best.iterations, best.solve_residual, limits, tuple(self.history), best.chi2,
+            edge,
         )  # fmt: skip
 
 
@@ -309,7 +312,7 @@ def _descend(
         if _stalled(record, trial):
             return _at_a_stand(record)
         if record.on_an_edge():
-            return record.end(RESULTS.successful, _edge(record))
+            return record.end(RESULTS.successful, _edge(record), edge=True)
     return record.end(RESULTS.successful, f"optimum after {record.steps} steps")
 
 

@@ -42,6 +42,8 @@ def warnings(fit: Fit, known: Uncertainty) -> list[str]:
     said = [
         f"{name} ran towards its {side} limit: {RESULTS.at_limit.value}" for name, side in fit.limits.items()
     ]
+    if fit.edge:
+        said.append(f"{fit.reason[0].upper()}{fit.reason[1:]}.")
     said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in known.sentences]
     said += [f"{one.name}: {one.reason}." for one in known.estimates if _hardly(one)]
     assumed = [name for name, kind in fit.problem.sigma_source.items() if kind == "assumed"]
