@@ -34,7 +34,7 @@ SLOW = 0.1  # of the gradient is left after a good step of Gauss and Newton near
 SEATINGS = 3  # times a settled fit is asked whether its afferents could be seated better
 # Evaluations in which neither chi2, by this many squared standard errors, nor the gradient, below this share of itself, fell: a fit that
 # is left with so few standard errors to gain is on an edge, where contact opens and the slopes of both sides lead to it.
-LOOKED_BACK, FELL, FLATTER, EDGE = 8, 1e-3, 0.3, 0.1
+LOOKED_BACK, FELL, FLATTER, EDGE = 8, 1e-3, 0.3, 0.5
 REFUSED = 10  # failed evaluations in all after which a fit gives up
 
 
@@ -229,7 +229,7 @@ def fit(
     solve inside failed at the start or kept failing), `no_optimum` (no step goes down, or they ran out) or `interrupted` (Ctrl-C),
     `Fit.values` are NaN and the best point so far is kept in `Fit.raw`. A trial point whose solves failed is
     never accepted. A least chi2 may lie where contact opens and its slope jumps: there no gradient vanishes, and the fit ends when nothing
-    is gained any more and the slopes of either side promise less than a tenth of a standard error; `Fit.reason` says so.
+    is gained any more and the slopes of either side promise less than half a standard error; `Fit.reason` says so.
 
     A threshold makes chi2 flat where nothing fires and gives it several minima. So scale and threshold of an afferent are begun from, and
     once settled compared with, the best of all for the other values (`Problem.reseat`).

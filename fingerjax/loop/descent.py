@@ -27,7 +27,7 @@ BENT, SHARP = 0.75, 1.5  # gain below which the bend is looked at, and its size 
 PROBE = 0.1  # of a step, where the model has no answer at its end
 # Where the residual is so many times the noise, a search whose last steps brought so little of what was promised is given up.
 FAR, CRAWL, PATIENCE = 2.0, 1e-3, 5
-EDGE, OFTEN = 0.5, 6  # standard errors that steps may promise in vain, and how often, until a search ends: it is on an edge
+EDGE, OFTEN = 1.0, 6  # standard errors that steps may promise in vain, and how often, until a search ends: it is on an edge
 STUCK = 1e-7  # share of the sum of squares that says of two steps in turn that there is no getting on
 LEAST = 1e-3  # share of the Gauss-Newton curvature that is kept in every direction, whatever S says
 
