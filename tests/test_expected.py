@@ -10,6 +10,7 @@ import pytest
 
 from fingerjax.contact.chord import Chording
 from fingerjax.effects import catalogue, chosen
+from fingerjax.errors import InputError
 from fingerjax.fem.tissue import Exponential, FiniteStrain
 from fingerjax.forward import Assembled
 from fingerjax.forward.strained import FARTHEST, Strained, strained_readings
@@ -103,3 +104,15 @@ def test_laws_are_followed_on_the_models_own_mesh_where_a_coarser_one_reads_othe
     monkeypatch.setattr(subject_of_a_finger, "LIKE", like)
     subject = FingerSubject(cylinder(tmp_path, "held", "held", pad=5.0), chosen(("finite_strain",), catalogue()))
     assert (subject._variants.rough({}) is subject.base) is own
+
+
+def test_laws_are_followed_on_the_models_own_mesh_where_a_coarser_one_cannot_be_laid_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = variants.Variants(cylinder(tmp_path, "held", "held", pad=5.0), {}, "auto", 1.0)
+
+    def broken(*_: object, **__: object) -> Assembled:
+        raise InputError("no skin faces -y at this (x, z)", remedy="a finer mesh")
+
+    monkeypatch.setattr(variants, "assemble", broken)
+    assert made.rough({}) is made.base

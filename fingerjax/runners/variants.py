@@ -72,7 +72,10 @@ class Variants:
             return None
 
     def _for_laws(self) -> Assembled:
-        rough = assemble(self.base.study, solver=self.solver, size=ROUGH * self.size, focused=False)
+        try:
+            rough = assemble(self.base.study, solver=self.solver, size=ROUGH * self.size, focused=False)
+        except ValueError:  # too coarse for a place on the skin to be found, or for a layer to be there
+            return self.base
         if len(rough.mesh.nodes) >= len(self.base.mesh.nodes):
             return self.base
         rough = self._laid_out(rough, self.solver)
