@@ -120,16 +120,12 @@ class FingerSubject(AbstractSubject):
         return found
 
     def finer(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Float[np.ndarray, " rows"] | None:
-        if self._fine is None:
-            return None
-        amounts = self._amounts({key: value for key, value in phi.items() if not self._is_law(key)})
-        try:
-            fine = self._value_of(self._variants.on(self._fine, amounts), raw, amounts)
-        except ValueError:  # an element turns over
-            return None
-        if fine is None or not self._strained(self._amounts(phi)):
-            return fine
+        """With what a law adds on the finer mesh too: beside a small sphere that is far from converged on the mesh of a search."""
         amounts = self._amounts(phi)
+        on = self._on_the_finer(amounts)
+        fine = None if on is None else self._value_of(on, raw, self._lawless(amounts))
+        if fine is None or not self._strained(amounts):
+            return fine
         more = self._beyond(raw, amounts, finely=True) or self._beyond(raw, amounts)
         return None if more is None else fine + more[0]
 
@@ -170,6 +166,9 @@ class FingerSubject(AbstractSubject):
 
     def _is_law(self, key: str) -> bool:
         return self.effects[self._ways[key].family].is_law
+
+    def _lawless(self, amounts: Amounts) -> Amounts:
+        return {name: each for name, each in amounts.items() if not self.effects[name].is_law}
 
     def _strained(self, amounts: Amounts) -> bool:
         """Whether the tissue follows another law than Hooke's."""
@@ -242,16 +241,24 @@ class FingerSubject(AbstractSubject):
     def _beyond(
         self, raw: Float[np.ndarray, " p"], amounts: Amounts, *, finely: bool = False
     ) -> tuple[np.ndarray, Strained, Assembled] | None:
-        """What a law of the tissue adds to every row, found on the rough mesh or, `finely`, on that of the linear model."""
-        finely = finely and self._variants.rough(amounts) is not self._variants.of(amounts)
+        """What a law of the tissue adds to every row, found on the mesh on which laws are followed or, `finely`, on the finer one."""
         key = repr((raw.tolist(), sorted((name, sorted(numbers.items())) for name, numbers in amounts.items())))
         if finely not in self._added or self._added[finely][0] != key:
             self._added[finely] = key, self._followed(raw, amounts, finely)
         return self._added[finely][1]
 
+    def _on_the_finer(self, amounts: Amounts) -> Assembled | None:
+        """The finer mesh with effects in it; None where there is none or an element turns over."""
+        if self._fine is None:
+            return None
+        try:
+            return self._variants.on(self._fine, self._lawless(amounts))
+        except ValueError:
+            return None
+
     def _followed(self, raw: Float[np.ndarray, " p"], amounts: Amounts, finely: bool) -> tuple[np.ndarray, Strained, Assembled] | None:
         """The same, looked for from where the last ones were found."""
-        on = self._variants.of(amounts) if finely else self._variants.rough(amounts)
+        on = self._on_the_finer(amounts) if finely else self._variants.rough(amounts)
         linear, law = None if on is None else self._elastic(on, raw, amounts), self._variants.together(amounts).law(Linear())
         if on is None or linear is None:
             return None
