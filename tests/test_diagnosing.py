@@ -117,7 +117,7 @@ def test_a_load_cells_gain_is_absorbed_by_the_moduli(tmp_path: Path) -> None:
     assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(gain)
 
 
-def test_what_a_law_adds_is_checked_on_the_mesh_that_is_fitted_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_law_adds_is_checked_on_the_finer_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("strain_stiffening",), catalogue()))
     subject.refine(subject.base, 0.5)
     raw = np.array([one.raw() for one in subject.parameters])
