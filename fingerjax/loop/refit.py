@@ -29,7 +29,7 @@ LEVEL = 1e-6  # largest cosine between the residual and a free column at an opti
 NEAR, NEARER = 0.1, 0.05
 EVALUATIONS = 60  # of one search
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
-ALONG, BROKEN = (1.0, 0.3, 0.1), 0.1  # parts of a step of which none brings more than this share of what it promises
+ALONG, BROKEN = (1.0, 0.3, 0.1), 0.5  # parts of a step of which none brings more than this share of what it promises
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
 AT_BOUND = 5e-3  # share of the plausible range from its end within which an effect is at its bound
 
