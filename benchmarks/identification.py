@@ -10,7 +10,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -163,12 +163,8 @@ def beside_the_grid(study: Study, decades: tuple[int, ...], every: bool, fine: b
     problem = ready.problem()
     fit(problem, max_steps=1)  # compiles
     ready.predict()
-    times = []
-    for _ in range(TIMED):
-        began = time.perf_counter()
-        found = fit(problem)
-        times.append(time.perf_counter() - began)
-    seconds = float(np.median(times))
+    timed = [_timed(lambda: fit(problem)) for _ in range(TIMED)]
+    found, seconds = timed[-1][0], float(np.median([took for _, took in timed]))
     tried = grid(ready, decades, share=not every)
     alone = tried.seconds / tried.solves
     known = uncertainty(found)
@@ -183,6 +179,11 @@ def beside_the_grid(study: Study, decades: tuple[int, ...], every: bool, fine: b
     nearest = max(abs(math.log(tried.best.moduli[layer] / MODULI[f"{layer}.modulus"])) for layer in SOFT_LAYERS)
     yield Figure("largest error of a modulus, fit", 100 * math.expm1(worst), "%")
     yield Figure("largest error of a modulus, grid", 100 * math.expm1(nearest), "%")
+
+
+def _timed(work: Callable[[], Fit]) -> tuple[Fit, float]:
+    began = time.perf_counter()
+    return work(), time.perf_counter() - began
 
 
 def wedge_profile(depths: tuple[float, ...], name: str = "profile") -> Measurement:
