@@ -41,7 +41,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "blind.md"
 TEXT = """Laboratories that another finite-element program made, each with an effect of another form than the catalogue's, diagnosed as a
 user would, and scored against truths that the diagnosis never saw. lambda: what the effect adds to the misfit of the plain model, in units
 of the variance of the noise alone; a diagnosis counts as well what the mesh leaves and what any model may be wrong by, so that it can
-miss effects that lambda calls strong. {kind} {seeds} of each laboratory, noise {noise:g} of the largest reading, 4 trials. Written by
+miss effects that lambda calls strong. {kind} {seeds} of each of {count} of the {all} laboratories, noise {noise:g} of the largest reading, 4 trials. Written by
 `python -m benchmarks.blind --write`. Measured on"""
 TIMEOUT = 3600.0
 """s after which a diagnosis is given up."""
@@ -126,7 +126,8 @@ def page(found: Sequence[score.Outcome], measured: Sequence[Figure], *, thin: bo
     """The table of scores, and what was said of every laboratory."""
     kind = "Coarse studies with few rows (`--thin`)." if thin else "Meshes and rows in full."
     drawn = "One draw" if seeds == 1 else f"{seeds} draws"
-    text = TEXT.format(kind=kind, seeds=drawn, noise=noise)
+    count = len({one.case for one in found})
+    text = TEXT.format(kind=kind, seeds=drawn, noise=noise, count=count, all=len(SCENARIOS))
     head = ["laboratory", "behind it", "lambda", "plain model", "verdict", "named", "among the explanations", "held-out error"]
     rows = [head, ["---"] * len(head), *map(_cells, sorted(found, key=lambda one: (one.kind, one.case)))]
     lines = ["## Every laboratory", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
