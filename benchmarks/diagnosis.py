@@ -131,7 +131,9 @@ def main(quick: bool) -> Iterator[Figure]:
     verdict, mesh = report["verdict"], report["model"]["mesh"]
     said = f"{mesh['nodes']} nodes, checked on {mesh['finer_nodes']}; {verdict['kind']}: {', '.join(verdict['families']) or 'nothing'}"
     yield at_most("diagnose, four instruments, from start to report", spent / 60, "min", MINUTES, said)
-    raw, steps = np.array([one.raw() for one in subject.parameters]), 0.01 * np.arange(1, 6)
+    raw = np.array([one.raw() for one in subject.parameters])
+    # not in proportion: that would be the same body on another scale, which is not factorised again
+    steps = 0.01 * np.outer(np.arange(1, 6), np.cos(np.arange(len(raw))))
     model = subject.base.model
     model.predict(subject.named(raw))
     solve = min(_seconds(partial(model.predict, subject.named(raw + step))) for step in steps)
