@@ -58,7 +58,7 @@ class Fit:
     - `chi2`: what was made least: the sum of squares, or of their loss.
     - `gradient`: largest |J_j . r| / (|J_j| |r|) over the parameters that are free to move: 0 at an optimum.
     - `evaluations`: how often the model was run; each gave residuals and Jacobian.
-    - `edge`: whether the optimum is a kink, where contact opens or closes, so that its gradient is not 0.
+    - `edge`: whether it ended on a kink, as where contact opens or closes: nothing fell any more, though the gradient is not 0.
     """
 
     problem: Problem
@@ -376,7 +376,7 @@ def _at_a_stand(record: _Record) -> Fit:
 def _edge(record: _Record) -> str:
     """A kink, told with what its sides still promise."""
     return (
-        f"optimum after {record.steps} steps, on an edge where contact opens or closes "
+        f"optimum after {record.steps} steps, on an edge as where contact opens or closes "
         f"(relative gradient {record.gradient:.1e}, {record.remaining():.1e} standard errors to gain by the slopes of one side)"
     )
 
