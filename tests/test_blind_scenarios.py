@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+from fingerjax.runners.rows import rows_of
 from fingerjax.study import load_studies
 from tests.blind import bricks, folders, truths
 from tests.blind.laboratory import Profiles
@@ -152,8 +153,28 @@ def test_excess_misfit_knows_what_moduli_take_up(quick):
     assert quick.excess(SCENARIOS["none_human"], 0.02, 4) == 0.0
     gain, offset = (quick.excess(SCENARIOS[name], 0.02, 4) for name in ("load_cell_gain", "force_offset"))
     assert gain < 0.05 * offset
+    assert offset < quick.excess(SCENARIOS["force_offset"], 0.01, 4) < 4 * offset
+    assert quick.excess(SCENARIOS["force_offset"], 0.01, 4) == pytest.approx(quick.excess(SCENARIOS["force_offset"], 0.02, 16), rel=1e-9)
+
+
+def test_excess_misfit_of_a_perfect_model_is_in_units_of_the_noise_of_the_mean(quick, monkeypatch):
+    monkeypatch.setattr(truths, "no_news", lambda record, clean: (np.zeros(clean.size), np.zeros(clean.size)))
+    offset = quick.excess(SCENARIOS["force_offset"], 0.02, 4)
     assert quick.excess(SCENARIOS["force_offset"], 0.01, 4) == pytest.approx(4 * offset, rel=1e-9)
     assert quick.excess(SCENARIOS["force_offset"], 0.02, 8) == pytest.approx(2 * offset, rel=1e-9)
+
+
+def test_what_is_no_news_is_what_the_study_says(quick, tmp_path):
+    """The program that reads a laboratory's study counts the same for its readings."""
+    scenario = SCENARIOS["none_human"]
+    folders.write(scenario, quick, tmp_path / "lab", tmp_path / "truth.yaml", noise=1e-6, seed=1)
+    rows = rows_of(load_studies(tmp_path / "lab" / "experiments.yaml")["experiments"])
+    clean = quick.clean(scenario)
+    for record in scenario.world(thin=quick.thin).records:
+        each, shared = truths.no_news(record, clean[record.name])
+        assert rows.form[rows.blocks[record.name]][: len(each)] == pytest.approx(each, rel=1e-4)
+        beside = rows.calibration[f"place of the afferent of {record.name}"][rows.blocks[record.name]] if shared.any() else np.zeros(len(each))
+        assert beside[: len(each)] == pytest.approx(shared, abs=1e-4 * float(np.abs(shared).max()) + 1e-12)
 
 
 def test_each_of_two_effects_leaves_less_than_both(quick):

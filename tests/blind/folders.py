@@ -18,11 +18,10 @@ from .laboratory import Profiles
 from .protocol import Record, Trace
 from .scenarios import HELD_OUT, SCENARIOS, Scenario, World
 from .shapes import SURFACES
-from .truths import Readings, Truths, coordinates, deviation, held_out, in_order
+from .truths import MODEL_ERROR, PLACED, Readings, Truths, coordinates, deviation, held_out, in_order
 
 TRIALS = 4
 START = {"human": (0.18, 0.018, 0.018, 0.018), "monkey": (0.14, 0.014, 0.014, 0.014)}
-PLACED = 0.05  # mm: how well these laboratories know the place of their afferent
 INSTANT = ("relaxation",)
 """Families with which a modulus has no one value: at once, or in the end."""
 COLUMNS = {"depth": "depth_mm", "distance": "distance_mm", "displacement": "displacement_mm", "position": "position_mm", "time": "time_s"}
@@ -83,7 +82,7 @@ def study(scenario: Scenario, world: World) -> dict[str, Any]:
         "model": model,
         "measurements": [{"name": name, "data": f"{name}.csv"} for name in there],
         "fit": {"free": [f"{layer}.modulus" for layer in SURFACES[:4]]},
-        "diagnose": {"effects": "all", "placement_mm": PLACED, **({"hold_out": kept} if kept else {})},
+        "diagnose": {"effects": "all", "model_error": dict(MODEL_ERROR), "placement_mm": PLACED, **({"hold_out": kept} if kept else {})},
     }
 
 

@@ -1,8 +1,9 @@
 """Noise-free readings of the scenarios, computed once and kept in a folder, and how much misfit each leaves to a plain model.
 
 The excess misfit is that of the best plain model, linearised about the truth: lambda = |Q W (y - y0)|^2, with y the readings, y0 those of
-the laboratory without the effect, W one over the noise of the mean of all trials, and Q what the moduli (and the afferent's scale and
-threshold) cannot take up. A log-modulus may move far where the effect is large; then the figure is a guide.
+the laboratory without the effect, W one over what a reading may be off by (the noise of the mean of all trials, and beside it what the
+laboratory says that any model and the place of its afferent are wrong by), and Q what the moduli (and the afferent's scale and threshold) cannot take up. A log-modulus
+may move far where the effect is large; then the figure is a guide.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import orth
+from scipy.linalg import orth, solve_triangular
 
 from .bricks import Array
 from .instruments import readings
@@ -23,6 +24,10 @@ from .laboratory import Profiles
 from .protocol import Elastic, Record, Trace, elastic
 from .scenarios import HELD_OUT, SCENARIOS, Scenario, World
 
+MODEL_ERROR = {"profile": 0.01, "force": 0.01, "rate": 0.1}
+"""Share of the largest reading of its curve (a force: of each reading) that a laboratory says even the right model is wrong by."""
+PLACED = 0.05
+"""mm: how well these laboratories know the place of their afferent."""
 STEP = 0.04
 """Change of a log-modulus, for difference quotients."""
 Readings = dict[str, Array]
@@ -59,6 +64,23 @@ def deviation(record: Record, clean: Array, noise: float) -> Array:
     if isinstance(record, Trace):
         return noise * np.sqrt((0.4 * most) ** 2 + clean**2)
     return noise * most * np.sqrt(np.maximum(clean / most, 0.02))
+
+
+def no_news(record: Record, clean: Array) -> tuple[Array, Array]:
+    """What the right model may be wrong by: in every reading for itself (n,), and in all together, were the afferent beside its place (n,)."""
+    size, where = np.abs(clean).ravel(), coordinates(record)
+    if isinstance(record, Trace):
+        return MODEL_ERROR["force"] * size, np.zeros(len(size))
+    curve = np.unique(where["condition"], return_inverse=True)[1].reshape(-1)
+    greatest = np.zeros(curve.max() + 1)
+    np.maximum.at(greatest, curve, size)
+    if isinstance(record, Profiles):
+        return MODEL_ERROR["profile"] * greatest[curve], np.zeros(len(size))
+    slope, place = np.zeros(len(size)), np.array(where["position"])
+    for one in range(len(greatest)):
+        inside = np.flatnonzero(curve == one)
+        slope[inside] = np.gradient(clean.ravel()[inside], place[inside]) if len(inside) > 2 else 0.0
+    return MODEL_ERROR["rate"] * greatest[curve], PLACED * slope
 
 
 def held_out(scenario: Scenario, record: Record) -> Array:
@@ -109,13 +131,20 @@ class Truths:
         if all(np.array_equal(clean[name], other[name]) for name in plain):
             return 0.0
         more = [{name: self.clean(one)[name] - plain[name] for name in plain} for one in allowed]
-        slopes, change, columns = [*self.slopes(scenario.finger), *more], [], []
+        slopes = [*self.slopes(scenario.finger), *more]
+        change, columns, variance, together = [], [], [], []
         for record in scenario.plain(thin=self.thin).records:
             fitted = ~held_out(scenario, record)
-            weight = np.sqrt(trials) / deviation(record, clean[record.name], noise).ravel()[fitted]
-            change.append(weight * (clean[record.name] - other[record.name]).ravel()[fitted])
-            columns.append(weight[:, None] * np.stack([slope[record.name].ravel()[fitted] for slope in slopes], 1))
-        left, basis = np.concatenate(change), orth(np.concatenate(columns), rcond=1e-9)
+            read = clean[record.name]
+            each, all_of_them = no_news(record, read)
+            variance.append((deviation(record, read, noise).ravel() ** 2 / trials + each**2)[fitted])
+            together.append(all_of_them[fitted])
+            change.append((read - other[record.name]).ravel()[fitted])
+            columns.append(np.stack([slope[record.name].ravel()[fitted] for slope in slopes], 1))
+        shared = np.concatenate(together)
+        factor = np.linalg.cholesky(np.diag(np.concatenate(variance)) + np.outer(shared, shared))
+        whitened = solve_triangular(factor, np.column_stack([np.concatenate(change), np.concatenate(columns)]), lower=True)
+        left, basis = whitened[:, 0], orth(whitened[:, 1:], rcond=1e-9)
         return float(((left - basis @ (basis.T @ left)) ** 2).sum())
 
     def slopes(self, finger: str) -> list[Readings]:
