@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +14,8 @@ import pytest
 
 from benchmarks._parts import read, run_parts
 from benchmarks._record import Figure, at_most
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def first(quick: bool) -> Iterator[Figure]:
@@ -61,3 +66,33 @@ def test_what_was_found_before_a_part_broke_off_is_kept(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="gave up"):
         run(tmp_path, {"first": first, "second": broken})
     assert [entry["part"] for entry in json.loads((tmp_path / "kept.json").read_text())] == ["first"]
+
+
+SCRIPT = """
+import json, math, sys
+from benchmarks._parts import run_parts
+from benchmarks._record import Figure
+
+def first(quick):
+    yield Figure("time", 1.0 if quick else 2.0, "s")
+
+def second(quick):
+    {second}
+    yield Figure("length", math.nan, "mm")
+
+run_parts({{"first": first, "second": second}}, None, ({page!r}, lambda found: " ".join(one.figure for one in found)))
+"""
+
+
+@pytest.mark.parametrize("line", ["pass", "raise RuntimeError"])
+def test_parts_as_processes_keep_what_parts_in_turn_keep(tmp_path: Path, line: str) -> None:
+    script, kept = tmp_path / "script.py", tmp_path / "kept.json"
+    script.write_text(SCRIPT.format(second=line, page=tmp_path / "page.md").replace("PosixPath", "__import__('pathlib').Path"))
+    command = [sys.executable, str(script), "--workers", "2", "--quick", "--json", str(kept), "--write"]
+    ended = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    found = [(entry["part"], entry["value"], entry["quick"]) for entry in json.loads(kept.read_text())]
+    if line == "pass":
+        assert ended.returncode == 0 and (tmp_path / "page.md").read_text() == "time length", ended.stderr
+        assert found == [("first", 1.0, True), ("second", None, True)]
+    else:
+        assert ended.returncode and "second broke off" in ended.stderr and found == [("first", 1.0, True)]
