@@ -40,9 +40,9 @@ COARSER = 1.4
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "blind.md"
 TEXT = """Laboratories that another finite-element program made, each with an effect of another form than the catalogue's, diagnosed as a
 user would, and scored against truths that the diagnosis never saw. lambda: what the effect adds to the misfit of the plain model, in units
-of the variance of the noise and of what the laboratories say that any model is wrong by (1 % of deflections and forces, 10 % of rates, and
-an afferent 0.05 mm beside its place); what the mesh leaves is not in it. {kind} {seeds} of each of {count} of the {all} laboratories, noise {noise:g} of the
-largest reading, 4 trials. Written by `python -m benchmarks.blind --write`. Measured on"""
+of the variance of the noise and of what the laboratories say that any model is wrong by (1 % of deflections and forces, 10 % of rates,
+and an afferent 0.05 mm beside its place); what the mesh leaves is not in it. {kind} {seeds} of each of {count} of the {all} laboratories,
+noise {noise:g} of the largest reading, 4 trials. Written by `python -m benchmarks.blind --write`. Measured on"""
 TIMEOUT = 3600.0
 """s after which a diagnosis is given up."""
 

@@ -173,7 +173,8 @@ def test_what_is_no_news_is_what_the_study_says(quick, tmp_path):
     for record in scenario.world(thin=quick.thin).records:
         each, shared = truths.no_news(record, clean[record.name])
         assert rows.form[rows.blocks[record.name]][: len(each)] == pytest.approx(each, rel=1e-4)
-        beside = rows.calibration[f"place of the afferent of {record.name}"][rows.blocks[record.name]] if shared.any() else np.zeros(len(each))
+        known = f"place of the afferent of {record.name}"
+        beside = rows.calibration[known][rows.blocks[record.name]] if shared.any() else np.zeros(len(each))
         assert beside[: len(each)] == pytest.approx(shared, abs=1e-4 * float(np.abs(shared).max()) + 1e-12)
 
 

@@ -32,7 +32,7 @@ from .records import Felt, Measured, Placed, Push, Reading
 ACTS_ON = ("finger", "tissue", "support", "contact", "time", "instrument", "afferent")
 Amount = Mapping[str, Any]  # the numbers of one effect, by name
 Data = Sequence[Measured]
-Force = Callable[[Any, Any], Any]  # (Lame parameters, displacement) -> nodal forces
+Force = Callable[[Any, Any, Any], Any]  # (Lame parameters, displacement, forces that hold it) -> nodal forces
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,8 @@ class Effect:
         return body
 
     def force(self, body: Body, finger: Finger, solid: AbstractSolid) -> Force | None:
-        """The internal force (n, 3), N, of a displacement (n, 3), mm, per unit of the effect at its null, at Lame parameters (2, layers).
+        """The internal force (n, 3), N, per unit of the effect at its null: of Lame parameters (2, layers), a displacement (n, 3), mm, and
+        the forces (n, 3), N, that hold it in the body without the effect, reactions of supports among them.
 
         None where the difference between two bodies says it, as it does unless the null is a support that does not give at all.
         """

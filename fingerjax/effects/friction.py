@@ -15,7 +15,6 @@ from jaxtyping import Array, Float
 
 from ..fem.body import Body
 from ..fem.operator import Lame
-from ..fem.stiffness import Elastic
 from ..finger import Finger
 from ..geometry.solid import AbstractSolid
 from .effect import Effect, Force, Size
@@ -33,20 +32,20 @@ class Friction(Effect):
     def force(self, body: Body, finger: Finger, solid: AbstractSolid) -> Force:
         """What holds the skin back where it slides under pressure, N, per unit of the coefficient."""
 
-        def drag(lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
-            return _drag(body, lame, u)
+        def drag(lame: Lame, u: Float[Array, "nodes 3"], held: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
+            return _drag(body, u, held)
 
         return drag
 
 
 @eqx.filter_jit
-def _drag(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
+def _drag(body: Body, u: Float[Array, "nodes 3"], held: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
     moves = jnp.broadcast_to(body.moves, u.shape)
     slides = u * moves * jnp.array([1.0, 0.0, 1.0])
     size = jnp.linalg.norm(slides, axis=1)
     # An indenter pushes towards +y; a support on which tissue slides pushes inwards.
     height = body.nodes[:, 1]
     against = jnp.where((moves[:, 1] == 0) & (height > jnp.mean(height)), -1.0, 1.0)
-    pressed = against * Elastic(body, lame)(u)[:, 1]
+    pressed = against * held[:, 1]
     farthest = jnp.max(size)
     return (pressed / jnp.sqrt(size**2 + (STILL * jnp.where(farthest > 0, farthest, 1.0)) ** 2))[:, None] * slides

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu
 
 from ..fem.body import Body, reinforced
 from ..fem.springs import bed, facets, springs
-from ..fem.stiffness import Elastic
+from ..fem.stiffness import held_by
 from ..finger import Finger
 from ..geometry.solid import AbstractSolid
 from .effect import Amount, Effect, Force, Size
@@ -43,10 +43,9 @@ class NailCompliance(Effect):
         unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
         factor = splu(sp.csc_matrix(under[unknowns][:, unknowns]))
 
-        def yielding(lame: Array, u: Array) -> Array:
-            borne = np.asarray(Elastic(body, lame)(u)).ravel()[unknowns]
+        def yielding(lame: Array, u: Array, held: Array) -> Array:
             moved = np.zeros(u.size)
-            moved[unknowns] = -factor.solve(borne)
-            return Elastic(body, lame)(jnp.asarray(moved).reshape(u.shape))
+            moved[unknowns] = -factor.solve(np.asarray(held).ravel()[unknowns])
+            return held_by(body, lame, jnp.asarray(moved).reshape(u.shape))
 
         return yielding

@@ -52,6 +52,12 @@ class Elastic(AbstractStiffness):
         return pattern.matrix(np.asarray(self.lame), self.body)
 
 
+@eqx.filter_jit
+def held_by(body: Body, lame: Float[Array, "2 layers"], u: Field) -> Field:
+    """The forces, N, that hold a displacement in the linear body, at supports and between all nodes."""
+    return Elastic(body, lame)(u)
+
+
 class Tangent(AbstractStiffness):
     """That of a strained body: `moduli` (e, q, 3, 3, 3, 3), MPa, d stress / d displacement gradient."""
 

@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..effects.added import Effects
-from ..effects.effect import Effect
+from ..effects.effect import Effect, Force
 from ..fem.body import Body, body
 from ..fem.condensed import AbstractCondensed
 from ..fem.energy import internal_force
 from ..fem.slopes import distinct
-from ..fem.stiffness import Elastic
+from ..fem.stiffness import held_by
 from ..fem.tissue import AbstractTissue
 from .model import Assembled, Model
 from .pressing import Known, settle_with
@@ -28,7 +28,6 @@ from .readings import Instruments
 from .wiring import Values
 
 Field = Float[Array, "nodes 3"]
-Force = Callable[[Float[Array, "2 layers"], Field], Field]
 BLOCK = 32  # indentations whose answers are looked for at a time
 
 
@@ -42,7 +41,7 @@ def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float
         if len(once) == 0:
             return jnp.zeros((0, len(forces), model.columns.count))
         u = condensed.displacement(jnp.asarray(once))
-        found = [condensed.readings(_forces(forces, lames[variant], u[at : at + BLOCK])) for at in range(0, len(u), BLOCK)]
+        found = [condensed.readings(_forces(forces, model.body, lames[variant], u[at : at + BLOCK])) for at in range(0, len(u), BLOCK)]
         return -jnp.concatenate(found).reshape(len(u), len(forces), -1)[which]
 
     directions = jnp.zeros((len(lames), len(forces), *lames[0].shape))
@@ -57,8 +56,11 @@ def first_order(ready: Assembled, values: Values, effects: Sequence[tuple[Effect
     return np.asarray(inner_slopes(ready.model, values, [force for force, _ in found])) @ np.array([size for _, size in found])
 
 
-def _forces(forces: Sequence[Force], lame: Float[Array, "2 layers"], u: Float[Array, "k nodes 3"]) -> Float[Array, "kd nodes 3"]:
-    return jnp.stack([force(lame, each) for each in u for force in forces])
+def _forces(
+    forces: Sequence[Force], body: Body, lame: Float[Array, "2 layers"], u: Float[Array, "k nodes 3"]
+) -> Float[Array, "kd nodes 3"]:
+    held = [held_by(body, lame, each) for each in u]
+    return jnp.stack([force(lame, each, hold) for each, hold in zip(u, held, strict=True) for force in forces])
 
 
 @eqx.filter_jit
@@ -72,24 +74,19 @@ def slopes_of(instruments: Instruments, known: Known, values: dict[str, Array], 
     return jax.jacfwd(readings)(jnp.zeros(count))
 
 
-def between(one: Body, other: Body, step: float) -> Force:
-    """What the second body's internal force has more than the first's, per unit of the `step` between them."""
+def between(other: Body, step: float) -> Force:
+    """What another body's internal force has more, per unit of the `step` to it."""
 
-    def more(lame: Float[Array, "2 layers"], u: Field) -> Field:
-        return _difference(one, other, lame, u) / step
+    def more(lame: Float[Array, "2 layers"], u: Field, held: Field) -> Field:
+        return (held_by(other, lame, u) - held) / step
 
     return more
-
-
-@eqx.filter_jit
-def _difference(one: Body, other: Body, lame: Float[Array, "2 layers"], u: Field) -> Field:
-    return Elastic(other, lame)(u) - Elastic(one, lame)(u)
 
 
 def of_law(body: Body, law: Callable[[Array], AbstractTissue], null: float) -> Force:
     """Change of the internal force with the one parameter of a law, where that is linear elasticity."""
 
-    def more(lame: Float[Array, "2 layers"], u: Field) -> Field:
+    def more(lame: Float[Array, "2 layers"], u: Field, held: Field) -> Field:
         return _slope_of_law(body, law, jnp.asarray(null), lame, u)
 
     return more

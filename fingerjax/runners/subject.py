@@ -14,10 +14,11 @@ from jaxtyping import Array, Float
 
 from ..contact.chord import Chording
 from ..effects import Effect
+from ..effects.effect import Force
 from ..errors import InputError
 from ..fem.cholesky import Indefinite
 from ..fem.tissue import Linear
-from ..forward.inner import Force, between, first_order, inner_slopes, of_law
+from ..forward.inner import between, first_order, inner_slopes, of_law
 from ..forward.model import Assembled, softened
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
@@ -382,7 +383,7 @@ class FingerSubject(AbstractSubject):
         if body is None:  # an element turns over there: the other way
             step = -step
             body = self._variants.body(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
-        return None if body is None else between(model.model.body, body, step)
+        return None if body is None else between(body, step)
 
     def _difference(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         moved, step = self._stepped(phi, key)

@@ -1,9 +1,9 @@
 """Noise-free readings of the scenarios, computed once and kept in a folder, and how much misfit each leaves to a plain model.
 
 The excess misfit is that of the best plain model, linearised about the truth: lambda = |Q W (y - y0)|^2, with y the readings, y0 those of
-the laboratory without the effect, W one over what a reading may be off by (the noise of the mean of all trials, and beside it what the
-laboratory says that any model and the place of its afferent are wrong by), and Q what the moduli (and the afferent's scale and threshold) cannot take up. A log-modulus
-may move far where the effect is large; then the figure is a guide.
+the laboratory without the effect, W one over what a reading may be off by (the noise of the mean of all trials, and what the laboratory
+says that any model and the place of its afferent are wrong by), and Q what the moduli (and the afferent's scale and threshold) cannot take
+up. A log-modulus may move far where the effect is large; then the figure is a guide.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def deviation(record: Record, clean: Array, noise: float) -> Array:
 
 
 def no_news(record: Record, clean: Array) -> tuple[Array, Array]:
-    """What the right model may be wrong by: in every reading for itself (n,), and in all together, were the afferent beside its place (n,)."""
+    """What the right model may be wrong by: in every reading for itself (n,), and in all, were the afferent beside its place (n,)."""
     size, where = np.abs(clean).ravel(), coordinates(record)
     if isinstance(record, Trace):
         return MODEL_ERROR["force"] * size, np.zeros(len(size))
