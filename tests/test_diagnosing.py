@@ -136,6 +136,21 @@ def test_what_a_law_adds_is_checked_on_the_finer_mesh(tmp_path: Path, monkeypatc
     assert subject.finer(raw, law) is None
 
 
+def test_what_a_law_adds_at_either_of_two_steps_is_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("strain_stiffening",), catalogue()))
+    followed: list[float] = []
+
+    def follow(raw, amounts, finely):  # type: ignore[no-untyped-def]
+        followed.append(amounts["strain_stiffening"]["skin"])
+        return np.full(len(subject.rows), followed[-1]), None, None
+
+    monkeypatch.setattr(subject, "_followed", follow)
+    raw = np.array([one.raw() for one in subject.parameters])
+    there = {size: subject.glance(raw, {"strain_stiffening.skin": size, "strain_stiffening.deep": 0.0}) for size in (5.0, 6.0, 5.0)}
+    assert followed == [5.0, 6.0]
+    np.testing.assert_allclose(there[6.0].prediction - there[5.0].prediction, 1.0)
+
+
 @pytest.mark.parametrize("effect", ["epidermis_thickness", "tip_radius"])
 def test_an_effect_on_the_mesh_compiles_no_contact_anew_and_another_amount_of_it_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, effect: str

@@ -36,6 +36,7 @@ DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm abo
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 TURN = 1e-5  # of a raw parameter: the step of a difference
 LIKE = 0.1  # of a measurement's readings, root mean square, that a coarser mesh may be off by for laws to be followed on it
+REMEMBERED = 3  # equilibria under a law, of all indentations each, that are held at a time
 SEARCHED = Chording(tolerance=1e-6)  # far below what any noise or mesh leaves
 
 
@@ -60,7 +61,7 @@ class FingerSubject(AbstractSubject):
         self._soft: Assembled | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
         self._last: dict[bool, tuple[Strained, dict[str, float]]] = {}
-        self._added: dict[bool, tuple[str, tuple[np.ndarray, Strained, Assembled] | None]] = {}
+        self._added: dict[str, tuple[np.ndarray, Strained, Assembled] | None] = {}
 
     @property
     def base(self) -> Assembled:
@@ -242,11 +243,16 @@ class FingerSubject(AbstractSubject):
     def _beyond(
         self, raw: Float[np.ndarray, " p"], amounts: Amounts, *, finely: bool = False
     ) -> tuple[np.ndarray, Strained, Assembled] | None:
-        """What a law of the tissue adds to every row, found on the mesh on which laws are followed or, `finely`, on the finer one."""
-        key = repr((raw.tolist(), sorted((name, sorted(numbers.items())) for name, numbers in amounts.items())))
-        if finely not in self._added or self._added[finely][0] != key:
-            self._added[finely] = key, self._followed(raw, amounts, finely)
-        return self._added[finely][1]
+        """What a law of the tissue adds to every row, found on the mesh on which laws are followed or, `finely`, on the finer one.
+
+        The last few are known: a search looks at two steps before it asks for the slopes at the better one.
+        """
+        key = repr((finely, raw.tolist(), sorted((name, sorted(numbers.items())) for name, numbers in amounts.items())))
+        if key not in self._added:
+            while len(self._added) >= REMEMBERED:
+                self._added.pop(next(iter(self._added)))
+            self._added[key] = self._followed(raw, amounts, finely)
+        return self._added[key]
 
     def _on_the_finer(self, amounts: Amounts) -> Assembled | None:
         """The finer mesh with effects in it; None where there is none or an element turns over."""
