@@ -18,6 +18,7 @@ import pytest
 from fingerjax.effects import catalogue, chosen
 from fingerjax.errors import InputError
 from fingerjax.forward import assemble, rigs
+from fingerjax.forward.strained import Strained
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.loop.diagnosis import diagnose
 from fingerjax.runners import diagnosing
@@ -142,8 +143,9 @@ def test_what_a_law_adds_at_either_of_two_steps_is_found_once(tmp_path: Path, mo
 
     def follow(raw, amounts, finely):  # type: ignore[no-untyped-def]
         followed.append(amounts["strain_stiffening"]["skin"])
-        return np.full(len(subject.rows), followed[-1]), None, None
+        return np.full(len(subject.rows), followed[-1]), nothing, subject.base
 
+    nothing = Strained(subject.base.model.predict(subject.named(np.array([one.raw() for one in subject.parameters]))), ())
     monkeypatch.setattr(subject, "_followed", follow)
     raw = np.array([one.raw() for one in subject.parameters])
     there = {size: subject.glance(raw, {"strain_stiffening.skin": size, "strain_stiffening.deep": 0.0}) for size in (5.0, 6.0, 5.0)}
