@@ -6,7 +6,9 @@ All of this is done to text, before any number is read: a row that is not used i
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
+from decimal import Decimal, InvalidOperation
 from typing import Any
 
 from .csvfile import Table
@@ -17,6 +19,7 @@ from .units import split_unit
 from .yamlfile import Origin, located
 
 JOINED = " + "
+NUMBER = r"\d+(?:\.\d*)?"
 
 
 def _check_ours(name: str) -> None:
@@ -37,14 +40,14 @@ def repeated(table: Table, every: Mapping[str, float | str], origin: Origin) -> 
 
 def joined(table: Table, columns: Mapping[str, str | list[str]], origin: Origin) -> tuple[Table, dict[str, str]]:
     """The table with a column for every label that several columns make together, as in trial: [sample, repeat], and for every one that
-    is counted the other way, as in position_mm: -x_mm; and `columns` without lists.
+    is counted the other way or from elsewhere, as in position_mm: -x_mm, 3.2 - x_mm or x_mm - 3.2; and `columns` without lists.
     """
     plain: dict[str, str] = {}
     for ours, theirs in columns.items():
         if isinstance(theirs, str):
             plain[ours] = theirs
-            if theirs not in table.cells and theirs[:1] == "-" and theirs[1:] in table.cells:
-                table = dataclasses.replace(table, cells={**table.cells, theirs: [_negative(cell) for cell in table.cells[theirs[1:]]]})
+            if theirs not in table.cells and (counted := _counted(theirs, table)) is not None:
+                table = dataclasses.replace(table, cells={**table.cells, theirs: counted})
             continue
         with located(origin, "columns"):
             if ours not in LABELS or len(theirs) < 2:
@@ -56,9 +59,26 @@ def joined(table: Table, columns: Mapping[str, str | list[str]], origin: Origin)
     return table, plain
 
 
-def _negative(cell: str) -> str:
-    said = cell.strip()
-    return said[1:] if said.startswith("-") else f"-{said.removeprefix('+')}" if said else cell
+_OTHERWISE = re.compile(rf"(?:(?P<start>{NUMBER})\s*)?-\s*(?P<turned>\S+)|(?P<column>\S+)\s*-\s*(?P<end>{NUMBER})")
+
+
+def _counted(said: str, table: Table) -> list[str] | None:
+    """The cells of `-x`, `3.2 - x` or `x - 3.2`, with x a column of the table; None where it is not so written."""
+    found = _OTHERWISE.fullmatch(said.strip())
+    if found is None or (name := found["turned"] or found["column"]) not in table.cells:
+        return None
+    if found["turned"] is None:
+        return [_from(cell, "", "-" + found["end"]) for cell in table.cells[name]]
+    return [_from(cell, "-", found["start"] or "0") for cell in table.cells[name]]
+
+
+def _from(cell: str, sign: str, add: str) -> str:
+    """The number of a cell, turned and moved; a cell that is no number as it is, for whoever reads it to refuse."""
+    try:
+        value = Decimal(cell.strip())
+    except InvalidOperation:
+        return cell
+    return str(Decimal(add) + (-value if sign else value))
 
 
 def chosen_rows(table: Table, where: Mapping[str, Any], drop: Mapping[str, Any] | list[dict[str, Any]], origin: Origin) -> Table:

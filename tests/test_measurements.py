@@ -503,6 +503,19 @@ def test_shapes_with_lists_become_indenters(tmp_path):
     assert bool(ridges.covers(0.0, 2.9)) and not bool(ridges.covers(0.0, 0.7))
 
 
+@pytest.mark.parametrize(
+    ("said", "positions"),
+    [("-x_mm", [1.0, -1.25]), ("3.5 - x_mm", [4.5, 2.25]), ("x_mm - 3.5", [-4.5, -2.25]), ("0.1-x_mm", [1.1, -1.15]), ("x_mm", [-1.0, 1.25])],
+)
+def test_a_column_may_be_counted_the_other_way_and_from_elsewhere(tmp_path, said, positions):
+    (tmp_path / "rates.csv").write_text("x_mm,rate_ips\n-1,3\n+1.25,4\n")
+    study = {"kind": "spike_rate", "indenter": "flat_plate", "columns": {"position_mm": said}, "every": {"depth_um": 800}}
+    study["receptor"] = {"depth_mm": 0.75, "z_mm": 8, "theta_deg": 270}
+    assert read_measurement(tmp_path / "rates.csv", study).table["position"].tolist() == positions
+    with pytest.raises(InputError, match="no column"):
+        read_measurement(tmp_path / "rates.csv", {**study, "columns": {"position_mm": said.replace("x_mm", "z_mm")}})
+
+
 def test_what_holds_for_every_row_is_said_once(tmp_path):
     (tmp_path / "rates.csv").write_text("x_mm,rate_ips\n-1,3\n1,4\n")
     said = {"kind": "spike_rate", "indenter": "flat_plate", "columns": {"position_mm": "x_mm"}, "every": {"depth_um": 800}}
