@@ -84,7 +84,8 @@ def loaded(name: str, quick: bool = False) -> Study:
 def thinned(study: Study) -> Study:
     """The same on a coarser mesh with every third reading of each condition and few effects."""
     mesh = study.finger.resolution
-    coarser = mesh.model_copy(update={"pad_mm": COARSER * mesh.pad_mm, "proximal_mm": COARSER * mesh.proximal_mm})
+    sizes = {name: COARSER * size for name, size in mesh if name in ("pad_mm", "proximal_mm", "least_mm") and size is not None}
+    coarser = mesh.model_copy(update=sizes)
     asked = study.diagnose or Diagnose()
     names = FEW if asked.effects == "all" else tuple(name for name in FEW if name in asked.effects)
     return dataclasses.replace(
@@ -99,7 +100,7 @@ def _fewer(one: Measurement) -> Measurement:
     apart = [one.table[name].astype(str) for name in ("subject", "condition", "trial", "stimulus", "depth") if name in one.table]
     group = np.unique(np.column_stack([*apart, np.zeros(len(one), str)]), axis=0, return_inverse=True)[1].reshape(-1)
     rank = np.array([int(np.sum(group[:row] == group[row])) for row in range(len(one))])
-    kept = (rank % EVERY == EVERY - 1) | (np.bincount(group)[group] < EVERY)
+    kept = (rank % EVERY == EVERY - 1) | (np.bincount(group)[group] < 2 * EVERY)  # a few readings are all needed
     table = {name: column[kept] for name, column in one.table.items()}
     return dataclasses.replace(one, table=table, sigma=None if one.sigma is None else one.sigma[kept], rows=one.rows[kept])
 

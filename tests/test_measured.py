@@ -18,6 +18,7 @@ from benchmarks._record import Figure
 from benchmarks._table1 import crossing, ratios
 from fingerjax.__main__ import app
 from fingerjax.report.records import Table
+from fingerjax.runners import diagnosing
 from fingerjax.study import load_studies
 
 from .diagnosis_records import record
@@ -27,6 +28,8 @@ FINGERS = ("fingerpad", "table1", "bar", "spheres")
 """Those of them that are tried here; of the others another file says how far they go."""
 SHARED = tuple(name for name in FINGERS if name != "table1")
 """Those whose data are not beside them."""
+BODIES = tuple(name for name in NAMES if name not in FINGERS)
+"""Slabs and cylinders: small enough to be diagnosed here, thinned."""
 
 
 @pytest.fixture(autouse=True)
@@ -90,6 +93,21 @@ def test_the_page_is_made_from_records_alone(tmp_path: Path, monkeypatch: pytest
     drawn = set(re.findall(r"\((pictures/.*?\.svg)\)", text))
     assert any("measured_lab_remainder" in name for name in drawn)
     assert all((tmp_path / name).read_text().lstrip().startswith("<?xml") for name in drawn)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_thinned_body_goes_all_the_way_to_the_page(name: str, measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FINGERJAX_DATA", str(measured))
+    monkeypatch.setattr(studies_of, "FEW", ("contact_offset", "rate_adaptation"))
+    monkeypatch.setattr(studies_of, "FEW_SETS", 0)
+    monkeypatch.setattr(diagnosing, "CLOSE", 0.0)  # no finer mesh
+    monkeypatch.setattr(_measured_page, "PICTURES", tmp_path / "pictures")
+    figures = list(studies_of.part(name, True))
+    kept = json.loads((studies_of.KEPT / "quick" / f"{name}.json").read_text())
+    before = next(one.value for one in figures if one.figure == f"{name}: error before, fit")
+    assert np.isfinite(before) and kept["record"]["base"]["converged"]
+    text = page({name: kept}, figures)
+    assert f"## {name}" in text and kept["record"]["verdict"]["kind"].replace("_", " ") in text.replace("_", " ")
 
 
 @pytest.mark.slow
