@@ -183,9 +183,9 @@ class Edged(Straight):
     rise = 1.0
 
 
-@pytest.mark.parametrize(("wanted", "settled"), [(-0.01, True), (-0.4, False)])
+@pytest.mark.parametrize(("wanted", "settled"), [(-0.01, True), (-0.02, True), (-0.03, False), (-0.4, False)])
 def test_an_edge_is_an_optimum_where_it_promises_little(wanted: float, settled: bool) -> None:
-    """Data that ask for a slope which the model can only come near to, b >= 0 in effect: by a part of a standard error, or by many."""
+    """Data that ask for a slope which the model can only come near to, b >= 0 in effect: by 0.4, 0.75, 1.1 standard errors, or by many."""
     subject = Edged((), {})
     subject.rows = dataclasses.replace(subject.rows, measured=1.0 + wanted * X)
     found = optimum(Sample.of(subject, estimate(subject.rows), np.ones(len(X), dtype=bool)), (), np.array([1.0, 0.3]), NONE)

@@ -505,7 +505,7 @@ def test_shapes_with_lists_become_indenters(tmp_path):
 
 @pytest.mark.parametrize(
     ("said", "positions"),
-    [("x_mm", [-1.0, 1.25]), ("-x_mm", [1.0, -1.25]), ("3.5 - x_mm", [4.5, 2.25]), ("x_mm - 3.5", [-4.5, -2.25]), ("0.1-x_mm", [1.1, -1.15])],
+    [("x_mm", [-1.0, 1.25]), ("-x_mm", [1.0, -1.25]), ("3.5 - x_mm", [4.5, 2.25]), ("x_mm - 3.5", [-4.5, -2.25]), ("1-x_mm", [2.0, -0.25])],
 )
 def test_a_column_may_be_counted_the_other_way_and_from_elsewhere(tmp_path, said, positions):
     (tmp_path / "rates.csv").write_text("x_mm,rate_ips\n-1,3\n+1.25,4\n")
