@@ -256,6 +256,7 @@ class HoldOutKeys(Strict):
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 FORM = {"deflection_profile": 0.01, "force_displacement": 0.01, "spike_rate": 0.1}
 PLACEMENT = 0.2  # mm
+NODES = 10_000
 
 
 class FormKeys(Strict):
@@ -269,14 +270,15 @@ class FormKeys(Strict):
 
 
 class DiagnoseKeys(Strict):
-    """Which missing effects are looked for, on which rows the answer is tried, how good any model can be (`model_error`), and how well
-    the place of an afferent is known (`placement_mm`).
+    """Which missing effects are looked for, on which rows the answer is tried, how good any model can be (`model_error`), how well the
+    place of an afferent is known (`placement_mm`), and how many nodes a mesh may have on which models are fitted (`nodes`).
     """
 
     effects: Literal["all", "none"] | list[str] = "all"
     hold_out: list[HoldOutKeys] = []
     model_error: FormKeys = FormKeys()
     placement_mm: Annotated[float, Field(ge=0.0)] = PLACEMENT
+    nodes: Annotated[int, Field(ge=500)] = NODES
 
     @field_validator("effects", mode="before")
     @classmethod

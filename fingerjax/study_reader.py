@@ -252,7 +252,7 @@ class StudyReader:
                 with located(self.origin, "diagnose", "hold_out", index, "where"):
                     held.append(_held_out(by_name[one.measurement], one.where))
         form = {"deflection_profile": said.model_error.profile, "force_displacement": said.model_error.force}
-        return Diagnose(effects, tuple(held), {**form, "spike_rate": said.model_error.rate}, said.placement_mm)
+        return Diagnose(effects, tuple(held), {**form, "spike_rate": said.model_error.rate}, said.placement_mm, said.nodes)
 
     def _design(self, keys: StudyKeys, fit: Fit) -> Design | None:
         if keys.design is None:

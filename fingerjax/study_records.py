@@ -14,7 +14,7 @@ from .measurements import Measurement, Receptor
 from .parameters import Parameter
 from .spelling import choose_from
 from .study_design import Design
-from .study_keys import FORM, PLACEMENT, Finger, Model
+from .study_keys import FORM, NODES, PLACEMENT, Finger, Model
 from .study_sweep import Sweep
 
 
@@ -78,13 +78,14 @@ class HeldOut:
 class Diagnose:
     """`effects`: `all`, `none`, or a tuple of names; `hold_out`: empty where whole conditions are held out
     in turn; `form`: by kind, the share of a reading that a model of the right effects may still be wrong by; `placement`: mm,
-    how well the place of an afferent is known.
+    how well the place of an afferent is known; `nodes`: of the mesh that is fitted on, at most about so many.
     """
 
     effects: str | tuple[str, ...] = "all"
     hold_out: tuple[HeldOut, ...] = ()
     form: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(FORM))
     placement: float = PLACEMENT
+    nodes: int = NODES
 
 
 @dataclasses.dataclass(frozen=True)

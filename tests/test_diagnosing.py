@@ -24,7 +24,7 @@ from fingerjax.loop.diagnosis import diagnose
 from fingerjax.runners import diagnosing
 from fingerjax.runners.diagnosing import diagnose_study, subject_of
 from fingerjax.runners.subject import FingerSubject
-from fingerjax.study import Study
+from fingerjax.study import Diagnose, Study
 
 from .test_effects import OWN
 from .test_forward import COARSE, MODULI, OF, PLATE, Rows, study_of
@@ -179,6 +179,14 @@ def test_a_study_without_a_fit_has_no_residual(tmp_path: Path) -> None:
     study = laboratory(tmp_path, "contact_offset", 0.0)
     with pytest.raises(InputError, match="leaves no residual"):
         diagnose_study(dataclasses.replace(study, fit=dataclasses.replace(study.fit, free=())), effects=TRIED)
+
+
+def test_a_study_says_how_many_nodes_its_working_mesh_may_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(diagnosing, "CLOSE", 0.0)  # no finer mesh
+    study = laboratory(tmp_path, "contact_offset", 0.0)
+    own = len(subject_of(study, TRIED).base.mesh.nodes)
+    fewer = subject_of(dataclasses.replace(study, diagnose=Diagnose(nodes=int(0.7 * own))), TRIED)
+    assert len(fewer.base.mesh.nodes) < 0.85 * own and fewer.size > 1.0
 
 
 def test_units_of_readings_are_those_of_the_study(tmp_path: Path) -> None:

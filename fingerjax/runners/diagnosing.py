@@ -16,10 +16,9 @@ from ..loop.calibrate import SETS
 from ..loop.diagnosis import diagnose
 from ..loop.record import Diagnosis
 from ..loop.refit import forget
-from ..study import Study
+from ..study import Diagnose, Study
 from .subject import FingerSubject
 
-WORKING = 10_000  # nodes of the mesh that is fitted on, at most
 CHECKING = 45_000  # nodes of the finer one, at most
 GROWTH = 1.5  # power by which nodes grow as elements shrink, before it has been seen
 FINER = 0.35  # element size of the finer mesh over that of the mesh, where its nodes allow
@@ -67,9 +66,10 @@ def subject_of(
     if study.finger.mesh is not None:
         return FingerSubject(said(tell=tell), asked, solver=solver)
     own = _nodes(study, 1.0, False, lambda share, what: tell(0.4 * share, what))
-    even = own > WORKING
+    working = (study.diagnose or Diagnose()).nodes
+    even = own > working
     tell(0.4, "a mesh to fit on")
-    size = _size(study, WORKING, 1.0, own) if even else 1.0
+    size = _size(study, working, 1.0, own) if even else 1.0
     subject = FingerSubject(said(size=size, even=even), asked, solver=solver, size=size)
     tell(0.7, "a finer mesh")
     finer = _finer(study, size, even) if FINER < CLOSE else size
