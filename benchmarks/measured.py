@@ -1,7 +1,7 @@
 """Measured fingertips, skin and silicone: how far a layered linear body explains them, and what it lacks.
 
-`python -m benchmarks.measured [--quick] [--part NAME] [--json FILE] [--write]`, with FINGERJAX_DATA set to the folder of measured data, or
-with that folder beside the repository as `shared/data`.
+`python -m benchmarks.measured [--quick] [--part NAME] [--workers N] [--json FILE] [--write]`, with FINGERJAX_DATA set to the folder of
+measured data, or with that folder beside the repository as `shared/data`.
 
 Every study in `fits/measured` is a part: it is diagnosed as `fingerjax diagnose` does it, and then asked what it is there for (`FURTHER`).
 What a part found is kept under `build/measured`, from where `--write` makes docs/measured.md; a study that has not been run is named there

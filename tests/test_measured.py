@@ -88,7 +88,7 @@ def test_the_page_is_made_from_records_alone(tmp_path: Path, monkeypatch: pytest
     kept = {"record": record("unexplained"), "tables": [dataclasses.asdict(more)]}
     found = {name: {"notes": f"About {name}.", **kept} for name in ("lab", "other")}
     text = page(found, [Figure(f"{name}: whole study", 90.0, "s") for name in found])
-    assert text.count("## A question of its own") == 2 and "About lab." in text and "(3 min on" in text
+    assert text.count("## A question of its own") == 2 and "About lab." in text and "they took 3 min together" in text
     assert "nail compliance" in text and "pictures/measured_lab_conditions.svg" in text
     drawn = set(re.findall(r"\((pictures/.*?\.svg)\)", text))
     assert any("measured_lab_remainder" in name for name in drawn)
