@@ -110,10 +110,11 @@ def part(name: str, quick: bool) -> Iterator[Figure]:
     began = time.perf_counter()
     prepare()
     study = loaded(name, quick)
-    asked = study.diagnose.effects if study.diagnose is not None else "all"
-    subject = subject_of(study, asked, tell=_teller(name))
+    asked = study.diagnose or Diagnose()
+    subject = subject_of(study, asked.effects, tell=_teller(name))
     findings = investigate(
-        subject, seed=0, effects="all", alpha=0.05, sets=FEW_SETS if quick else SETS, tell=_teller(name), kept=_parts(name, study, quick)
+        subject, seed=0, effects="all", alpha=0.05, sets=FEW_SETS if quick else SETS, tell=_teller(name), kept=_parts(name, study, quick),
+        reach=asked.reach,
     )  # fmt: skip
     record = plain(written(findings).record())
     tables = [tried(findings)]

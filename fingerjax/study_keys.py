@@ -257,6 +257,7 @@ Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 FORM = {"deflection_profile": 0.01, "force_displacement": 0.01, "spike_rate": 0.1}
 PLACEMENT = 0.2  # mm
 NODES = 10_000
+PAIRS, TOGETHER = 6, 4
 
 
 class FormKeys(Strict):
@@ -271,7 +272,8 @@ class FormKeys(Strict):
 
 class DiagnoseKeys(Strict):
     """Which missing effects are looked for, on which rows the answer is tried, how good any model can be (`model_error`), how well the
-    place of an afferent is known (`placement_mm`), and how many nodes a mesh may have on which models are fitted (`nodes`).
+    place of an afferent is known (`placement_mm`), how many nodes a mesh may have on which models are fitted (`nodes`), and how far the
+    catalogue is searched where no effect alone explains the data: `pairs` that are tried, effects `together` in the nearest model.
     """
 
     effects: Literal["all", "none"] | list[str] = "all"
@@ -279,6 +281,8 @@ class DiagnoseKeys(Strict):
     model_error: FormKeys = FormKeys()
     placement_mm: Annotated[float, Field(ge=0.0)] = PLACEMENT
     nodes: Annotated[int, Field(ge=500)] = NODES
+    pairs: Annotated[int, Field(ge=0)] = PAIRS
+    together: Annotated[int, Field(ge=1)] = TOGETHER
 
     @field_validator("effects", mode="before")
     @classmethod

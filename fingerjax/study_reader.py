@@ -30,6 +30,7 @@ from .study_records import (
     HeldOut,
     LayerStudy,
     Prior,
+    Reach,
     Study,
     TableRow,
     base_parameters,
@@ -252,7 +253,8 @@ class StudyReader:
                 with located(self.origin, "diagnose", "hold_out", index, "where"):
                     held.append(_held_out(by_name[one.measurement], one.where))
         form = {"deflection_profile": said.model_error.profile, "force_displacement": said.model_error.force}
-        return Diagnose(effects, tuple(held), {**form, "spike_rate": said.model_error.rate}, said.placement_mm, said.nodes)
+        form |= {"spike_rate": said.model_error.rate}
+        return Diagnose(effects, tuple(held), form, said.placement_mm, said.nodes, Reach(said.pairs, said.together))
 
     def _design(self, keys: StudyKeys, fit: Fit) -> Design | None:
         if keys.design is None:

@@ -14,7 +14,7 @@ from .measurements import Measurement, Receptor
 from .parameters import Parameter
 from .spelling import choose_from
 from .study_design import Design
-from .study_keys import FORM, NODES, PLACEMENT, Finger, Model
+from .study_keys import FORM, NODES, PAIRS, PLACEMENT, TOGETHER, Finger, Model
 from .study_sweep import Sweep
 
 
@@ -75,6 +75,16 @@ class HeldOut:
 
 
 @dataclasses.dataclass(frozen=True)
+class Reach:
+    """How far the catalogue is searched where no effect alone explains the data: `pairs` that are tried, the most promising first, and
+    effects `together` in the nearest model, at most.
+    """
+
+    pairs: int = PAIRS
+    together: int = TOGETHER
+
+
+@dataclasses.dataclass(frozen=True)
 class Diagnose:
     """`effects`: `all`, `none`, or a tuple of names; `hold_out`: empty where whole conditions are held out
     in turn; `form`: by kind, the share of a reading that a model of the right effects may still be wrong by; `placement`: mm,
@@ -86,6 +96,7 @@ class Diagnose:
     form: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(FORM))
     placement: float = PLACEMENT
     nodes: int = NODES
+    reach: Reach = dataclasses.field(default_factory=Reach)
 
 
 @dataclasses.dataclass(frozen=True)

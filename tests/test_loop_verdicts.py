@@ -20,6 +20,7 @@ from fingerjax.loop.score import rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
 from fingerjax.loop.verdict import decide, out_of_the_mesh
 from fingerjax.parameters import Parameter
+from fingerjax.study_records import Reach
 
 
 def verdict(**more: object) -> Diagnosis:
@@ -104,6 +105,17 @@ def test_two_effects_are_both_named_and_each_is_needed() -> None:
     assert len({tuple(name.split(" again ")[0].split()) for name in both}) == 1  # not once more the other way round
     assert sorted(found.verdict.families) == ["contact_offset", "spontaneous_rate"]
     assert found.after.phi["spontaneous_rate.rate"].value == pytest.approx(6.0, rel=0.2)
+
+
+@pytest.mark.parametrize("pairs", [0, 2])
+def test_no_more_pairs_are_tried_than_are_asked_for(pairs: int) -> None:
+    searched: dict[str, dict] = {}
+    toy = Toy(truth={"contact_offset.offset": 0.04, "spontaneous_rate.rate": 6.0})
+    reach = Reach(pairs=pairs, together=1)
+    found = diagnose(toy, sets=0, kept=lambda name, make: searched.setdefault(name, make()), reach=reach)
+    both = {frozenset(name.split()) - {"refit"} for name in searched if name.count(".") == 2 and "again" not in name and "mesh" not in name}
+    assert len(both) == pairs
+    assert (found.verdict.kind == "two effects") is (pairs > 0), "the most promising comes first"
 
 
 def _ripple() -> np.ndarray:

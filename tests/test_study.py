@@ -17,6 +17,7 @@ from fingerjax.errors import InputError
 from fingerjax.indenter_spec import IndenterSpec
 from fingerjax.study import ForceTable, HeldOut, LayerStudy, Prior, load_studies
 from fingerjax.study_keys import ratio_decades, ratio_moduli
+from fingerjax.study_records import Reach
 
 DATA = Path(os.environ.get("FINGERJAX_DATA") or Path(__file__).parents[1].parent / "shared" / "data")
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data in {DATA}; set FINGERJAX_DATA")
@@ -56,6 +57,15 @@ def folder(tmp_path):
 def load(folder, text, **more):
     (folder / "study.yaml").write_text(text)
     return load_studies(folder / "study.yaml", **more)
+
+
+def test_a_study_says_how_far_a_diagnosis_goes(folder):
+    said = next(iter(load(folder, STUDY).values())).diagnose
+    assert (said.nodes, said.reach) == (10_000, Reach(6, 4))
+    said = next(iter(load(folder, STUDY + "  nodes: 5000\n  pairs: 1\n  together: 2\n").values())).diagnose
+    assert (said.nodes, said.reach) == (5000, Reach(pairs=1, together=2))
+    with pytest.raises(InputError, match="nodes"):
+        load(folder, STUDY + "  nodes: 10\n")
 
 
 def one(folder, old="", new="", **more):

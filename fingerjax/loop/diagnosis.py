@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from ..errors import InputError
 from ..spelling import choose_from
+from ..study_records import Reach
 from . import heldout
 from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
@@ -36,6 +37,7 @@ from .writing import written
 
 ASTRAY = math.log(3.0)  # of the logarithm of a modulus: farther from where the study began a fit may imitate what is missing
 ROUNDS, SAME = 4, 0.5  # times that the mesh is asked, and change of its answer, in standard errors of all rows together, that is none
+REACH = Reach()
 Tell = Callable[[float, str], object]
 
 
@@ -48,6 +50,7 @@ def diagnose(
     sets: int = SETS,
     tell: Tell = lambda share, what: None,
     kept: Keep = forget,
+    reach: Reach = REACH,
 ) -> Diagnosis:
     """Trace the residual of a model to what it lacks.
 
@@ -56,15 +59,17 @@ def diagnose(
     - `effects`: `all`, `none`, or the names of those that are asked for.
     - `alpha`: probability of calling a model wrong that is right. `sets`: made-up data sets by which that is checked.
     - `tell(share, what)` hears of the progress.
+    - `reach`: how far the catalogue is searched where no effect alone explains the data.
     - `kept(name, make)` gives back what `make()` once gave under that name: a dictionary of numbers, the end of one search.
 
     **Raises** `InputError` where an effect is asked for that the subject does not have.
     """
-    return written(investigate(subject, seed=seed, effects=effects, alpha=alpha, sets=sets, tell=tell, kept=kept))
+    return written(investigate(subject, seed=seed, effects=effects, alpha=alpha, sets=sets, tell=tell, kept=kept, reach=reach))
 
 
 def investigate(
-    subject: AbstractSubject, *, seed: int, effects: str | tuple[str, ...], alpha: float, sets: int, tell: Tell, kept: Keep
+    subject: AbstractSubject, *, seed: int, effects: str | tuple[str, ...], alpha: float, sets: int, tell: Tell, kept: Keep,
+    reach: Reach = REACH,
 ) -> Findings:  # fmt: skip
     """The same with all of its inner results."""
     started = time.perf_counter()
@@ -74,7 +79,7 @@ def investigate(
     noise, best, mesh = _base(subject, chosen, kept)
     base, columns = _looked(best, families, alpha, seed)
     singles, pairs = [], []
-    inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.6))
+    inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.6), reach=reach)
     if asks_for_effects(noise, base):
         inquiry.early = _early(best, families)
         singles = inquiry.singles() if inquiry.early is not None or out_of_the_mesh(mesh, base) else []

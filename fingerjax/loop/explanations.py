@@ -21,6 +21,7 @@ from itertools import zip_longest
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..study_records import Reach
 from . import heldout
 from .adequacy import Look, look
 from .meshguard import correction
@@ -36,7 +37,7 @@ ASKED, SAME = 2, 0.5  # times that the mesh is asked, and change of what it says
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is plausible: the first with which the model has an answer
-LEADS, RIVALS = 4, 3  # singles, and what each is paired with
+LEADS, RIVALS = 4, 3  # singles, and what each may be paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
 
 Tell = Callable[[float, str], object]
@@ -109,7 +110,7 @@ class Inquiry:
     - `early`: the families ranked where the study began, where the base fit ended far from there: a fit that bends its parameters to
       imitate an effect hides that effect from a score at its end.
     - `held` (rows,): conditions with a veto. `margin`: what the mesh asks on top of the critical value.
-    - `kept`: stores finished searches by name. `tell(share, what)` hears of the progress.
+    - `kept`: stores finished searches by name. `tell(share, what)` hears of the progress. `reach`: how far the search goes.
     """
 
     base: Look
@@ -121,6 +122,7 @@ class Inquiry:
     kept: Keep = forget
     tell: Tell = lambda share, what: None
     early: Ranking | None = None
+    reach: Reach = field(default_factory=Reach)
     found: dict[str, Explanation] = field(default_factory=dict)
     leading: float = 0.0  # the largest fall of RSS so far
 
@@ -235,19 +237,23 @@ class Inquiry:
         return sorted(self.found.values(), key=lambda one: -_number(one.delta))
 
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
-        """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance."""
+        """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.
+
+        Those come first whose scores promise the least sum of squares.
+        """
         leads = [one for one in singles if one.significant][:LEADS]
+        asked = [(lead, node) for lead in leads for node in self._rivals(lead)]
+        asked.sort(key=lambda pair: pair[0].best.rss - pair[1].statistic ** 2)
         found: dict[frozenset[str], Explanation] = {}
-        for number, lead in enumerate(leads):
-            self.tell(number / len(leads), f"{lead.name} with a second effect")
-            for node in self._rivals(lead):
-                names = (lead.families[0], node.columns[0].family)
-                if frozenset(names) in found:
-                    continue
-                fit = self._added(lead, node)
-                if fit.settled and lead.best.rss - fit.rss > self.needed:
-                    without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
-                    found[frozenset(names)] = self._explained(names, fit, without)
+        for number, (lead, node) in enumerate(asked[: self.reach.pairs]):
+            names = (lead.families[0], node.columns[0].family)
+            self.tell(number / self.reach.pairs, f"refit with {' and '.join(names)}")
+            if frozenset(names) in found:
+                continue
+            fit = self._added(lead, node)
+            if fit.settled and lead.best.rss - fit.rss > self.needed:
+                without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
+                found[frozenset(names)] = self._explained(names, fit, without)
         return sorted(found.values(), key=lambda one: -_number(one.delta))
 
     def enlarged(self, lead: Explanation) -> Iterator[Explanation]:

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 
 from .explanations import Explanation, Inquiry
 
-MOST = 4  # effects
 WORTH = 0.1  # share of the misfit that another effect must remove
 
 
-def nearest(inquiry: Inquiry, found: Sequence[Explanation], most: int = MOST) -> Explanation | None:
+def nearest(inquiry: Inquiry, found: Sequence[Explanation]) -> Explanation | None:
     """The nearest model, from the explanations by one and by two effects; None where no effect is sound."""
     best = max((one for one in found if one.sound), key=lambda one: one.delta, default=None)
+    most = inquiry.reach.together
     while best is not None and len(best.families) < most:
         inquiry.tell(len(best.families) / most, f"{best.name} with one effect more")
         tried = [one for one in inquiry.enlarged(best) if one.sound and best.best.rss - one.best.rss > WORTH * best.best.rss]

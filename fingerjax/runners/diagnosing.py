@@ -49,7 +49,8 @@ def diagnose_study(
         raise InputError("a study without a fit leaves no residual to trace", file=study.file, place=study.name, remedy=remedy)
     subject = subject_of(study, effects, folder, solver=solver, tell=lambda share, what: tell(0.2 * share, what))
     subject.tell = lambda share, what: tell(0.3 + 0.2 * share, what)
-    return diagnose(subject, seed=seed, sets=sets, tell=lambda share, what: tell(0.2 + 0.8 * share, what), kept=kept)
+    reach = (study.diagnose or Diagnose()).reach
+    return diagnose(subject, seed=seed, sets=sets, tell=lambda share, what: tell(0.2 + 0.8 * share, what), kept=kept, reach=reach)
 
 
 def subject_of(
