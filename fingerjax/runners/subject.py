@@ -102,9 +102,7 @@ class FingerSubject(AbstractSubject):
     def _columns(self, raw: Float[np.ndarray, " p"]) -> dict[str, np.ndarray]:
         phi: dict[str, float] = {}
         amounts = self._amounts(phi)
-        base = self._value(raw, phi)
-        if base is None:
-            raise InputError("the model has no answer at its own optimum", place=self.name, remedy="see the fit's own report")
+        base: np.ndarray | None = None
         found: dict[str, np.ndarray] = {}
         smooth = [key for key, way in self._ways.items() if way.step is None and self._is_compiled(key)]
         for keys in self._together(smooth):
@@ -112,7 +110,11 @@ class FingerSubject(AbstractSubject):
                 self._variants.of(amounts), raw, self._amounts(phi | dict.fromkeys(keys, 0.0), at_null=True), tuple(keys)
             )
             if linear is not None:
+                base = linear[0]  # at their nulls effects change nothing
                 found |= dict(zip(keys, linear[1][:, len(raw) :].T, strict=True))
+        base = self._value(raw, phi) if base is None else base
+        if base is None:
+            raise InputError("the model has no answer at its own optimum", place=self.name, remedy="see the fit's own report")
         tangent_laws = [key for key, way in self._ways.items() if self._is_law(key) and way.step is None]
         found |= self._inner_slopes(raw, phi, [*filter(self._is_inner, self._ways), *tangent_laws])
         rest = [key for key in self._ways if key not in found]
