@@ -244,17 +244,18 @@ class Inquiry:
         leads = [one for one in singles if one.significant][:LEADS]
         asked = [(lead, node) for lead in leads for node in self._rivals(lead)]
         asked.sort(key=lambda pair: pair[0].best.rss - pair[1].statistic ** 2)
-        found: dict[frozenset[str], Explanation] = {}
-        for number, (lead, node) in enumerate(asked[: self.reach.pairs]):
+        pairs: dict[frozenset[str], tuple[Explanation, Node]] = {}
+        for lead, node in asked:
+            pairs.setdefault(frozenset((lead.families[0], node.columns[0].family)), (lead, node))
+        found = []
+        for number, (lead, node) in enumerate(list(pairs.values())[: self.reach.pairs]):
             names = (lead.families[0], node.columns[0].family)
             self.tell(number / self.reach.pairs, f"refit with {' and '.join(names)}")
-            if frozenset(names) in found:
-                continue
             fit = self._added(lead, node)
             if fit.settled and lead.best.rss - fit.rss > self.needed:
                 without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
-                found[frozenset(names)] = self._explained(names, fit, without)
-        return sorted(found.values(), key=lambda one: -_number(one.delta))
+                found.append(self._explained(names, fit, without))
+        return sorted(found, key=lambda one: -_number(one.delta))
 
     def enlarged(self, lead: Explanation) -> Iterator[Explanation]:
         """An explanation with each of the effects that its own residual asks for most."""
