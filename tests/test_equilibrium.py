@@ -9,14 +9,15 @@ import pytest
 import scipy.sparse as sp
 
 from fingerjax._results import RESULTS
-from fingerjax.fem.body import material
+from fingerjax.fem.body import material, reinforced
 from fingerjax.fem.cholesky import Indefinite
 from fingerjax.fem.columns import columns_from_matrix
-from fingerjax.fem.energy import internal_force
+from fingerjax.fem.energy import energy_and_force, internal_force, total_energy
 from fingerjax.fem.equilibrium import Newton, NodalForces, Tissue, find, slopes
 from fingerjax.fem.operator import nodal_forces
 from fingerjax.fem.solver import solver_for
-from fingerjax.fem.stiffness import Tangent, tangent
+from fingerjax.fem.springs import bed, faces_on, facets, film, springs
+from fingerjax.fem.stiffness import Elastic, Tangent, tangent
 from fingerjax.fem.tissue import Exponential, FiniteStrain, Linear
 
 from .fem_tools import converged_quadratically, cube_body
@@ -135,6 +136,41 @@ def test_a_tangent_that_is_not_positive_definite_is_refused(body, solvers):
     with pytest.raises(Indefinite, match="not positive definite"):
         solvers["factorised"].undo(wrong, pull(body)[None])
     assert solvers["factorised"].undo(stiffness, pull(body)[None]).converged.all()
+
+
+@pytest.fixture(scope="module")
+def sprung(body):
+    """The cube with a bed under its lower face that does not follow the moduli, and a film on it that does."""
+    nodes = np.asarray(body.nodes)
+    low = facets(nodes, faces_on(np.asarray(body.tets), nodes[:, 1] < 1e-9))
+    bedded = reinforced(body, springs(0.3 * bed(low, len(nodes))))
+    return reinforced(bedded, springs(0.5 * film(low, len(nodes), 0.3), layer=1))
+
+
+def test_springs_hold_strained_tissue_as_they_hold_linear_tissue(sprung):
+    """Energy, force, tangent, and the whole equilibrium at the null of the law."""
+    lame, h, solver = SKIN.lame(), 1e-5, solver_for(sprung, "factorised")
+    load = sprung.moves * pull(sprung)
+    linear = solver.undo(Elastic(sprung, lame), load[None]).displacement[0]
+    without = solver.undo(Elastic(body_without(sprung), lame), load[None]).displacement[0]
+    assert jnp.linalg.norm(without - linear) > 0.1 * jnp.linalg.norm(linear)
+    found = find(Tissue(sprung, law(0.0, 0.0), lame, solver), NodalForces(load))
+    assert found.result.ok
+    SOLVED.check(found.state.displacement, linear)
+
+    way = jnp.asarray(np.random.default_rng(3).standard_normal(sprung.nodes.shape))
+    energy, force = energy_and_force(sprung, law(), lame, linear)
+    ends = [energy_and_force(sprung, law(), lame, linear + sign * h * way) for sign in (1, -1)]
+    DIFFERENCED.check((ends[0][0] - ends[1][0]) / (2 * h), jnp.sum(force * way))
+    np.testing.assert_allclose(total_energy(sprung, law(), lame, linear), energy, rtol=1e-12)
+    stiffness = tangent(sprung, law(), lame, linear)
+    DIFFERENCED.check((ends[0][1] - ends[1][1]) / (2 * h), stiffness(way))
+    moved = solver.undo(stiffness, load[None]).displacement[0]
+    SOLVED.check(sprung.moves * stiffness(moved), load)
+
+
+def body_without(sprung):
+    return eqx.tree_at(lambda one: one.springs, sprung, None)
 
 
 def test_slopes_in_moduli_and_nonlinear_parameters_match_differences(body, solvers):

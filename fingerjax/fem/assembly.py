@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from .body import Body
+from .springs import Springs
 
 BODIES = 3  # whose sums are kept
 CHUNK = 20_000  # elements whose matrices are held at a time
@@ -93,11 +94,14 @@ class Assembled:
         volumetric, shear = self._summed(body)
         lam, mu = np.asarray(lame)[:, self._layer]
         data = np.bincount(self._place, lam * volumetric + mu * shear, self._pattern.nnz)
-        if body.springs is not None:
-            springs = body.springs
-            place, kept = self._sought(np.asarray(springs.row), np.asarray(springs.column))
-            data += np.bincount(place, np.asarray(springs.at(jnp.asarray(lame)))[kept], self._pattern.nnz)
-        return self._holding(data)
+        return self._holding(data + self._sprung(lame, body.springs))
+
+    def _sprung(self, lame: np.ndarray, springs: Springs | None) -> np.ndarray | float:
+        """What springs add to the matrix's entries."""
+        if springs is None:
+            return 0.0
+        place, kept = self._sought(np.asarray(springs.row), np.asarray(springs.column))
+        return np.bincount(place, np.asarray(springs.at(jnp.asarray(lame)))[kept], self._pattern.nnz)
 
     def _sought(self, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where entries between unknowns stand among the matrix's own, and which of them are in it at all."""
@@ -113,10 +117,10 @@ class Assembled:
             raise ValueError("springs join nodes that share no element")
         return place, kept
 
-    def filled(self, elements: np.ndarray) -> sp.csr_matrix:
-        """The matrix that given element matrices (e, 3a, 3a), N/mm, add up to."""
+    def filled(self, elements: np.ndarray, lame: np.ndarray, springs: Springs | None) -> sp.csr_matrix:
+        """The matrix that given element matrices (e, 3a, 3a), N/mm, add up to, with springs beside them at some Lame parameters, MPa."""
         entry, place = self._kept
-        return self._holding(np.bincount(place, elements.ravel()[entry], self._pattern.nnz))
+        return self._holding(np.bincount(place, elements.ravel()[entry], self._pattern.nnz) + self._sprung(lame, springs))
 
     @cached_property
     def _kept(self) -> tuple[np.ndarray, np.ndarray]:

@@ -1,9 +1,10 @@
 """The energy of a strained body under any tissue law, and its derivatives: the internal force, and the material's stiffness at each point.
 
-    Pi(u) = sum over quadrature points of  w W(grad u),     f = dPi/du,     K = d2Pi/du2
+    Pi(u) = sum over quadrature points of  w W(grad u)  +  u' S u / 2,     f = dPi/du,     K = d2Pi/du2
 
-The law is differentiated at each point, where it has nine arguments; the sums over elements are those of the linear operator. Energy and
-force are asked for at every step of a search, so they are found together, with arithmetic running along the points of all elements.
+with the springs S of films, beds and fibres, which stay linear. The law is differentiated at each point, where it has nine arguments;
+the sums over elements are those of the linear operator. Energy and force are asked for at every step of a search, so they are found
+together, with arithmetic running along the points of all elements.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .body import Body
-from .operator import Lame, accumulate, displacement_gradient
+from .operator import Lame, accumulate, displacement_gradient, spring_force
 from .tissue import AbstractTissue, volume_growth
 
 
@@ -31,8 +32,8 @@ def density(body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array, "nod
 
 
 def total_energy(body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, ""]:
-    """Elastic energy, N mm, at displacements (n, 3), mm."""
-    return jnp.sum(body.weight * density(body, tissue, lame, u))
+    """Elastic energy, N mm, at displacements (n, 3), mm, that of springs among it."""
+    return jnp.sum(body.weight * density(body, tissue, lame, u)) + 0.5 * jnp.sum(u * spring_force(body, lame, u))
 
 
 def internal_force(body: Body, tissue: AbstractTissue, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
@@ -51,7 +52,9 @@ def energy_and_force(
     pull = jax.lax.optimization_barrier(stress.reshape(3, 3, points, elements) * weight)
     pulled = jnp.stack([jnp.stack([sum(pull[i, j] * inverse[:, k, j] for j in axes) for i in axes], axis=1) for k in axes], axis=1)
     forces = (_reference(body).T @ pulled.reshape(3 * points, -1)).reshape(corners, 3, elements)
-    return jnp.sum(weight * stored.reshape(points, elements)), accumulate(body, jnp.transpose(forces, (2, 0, 1)))
+    sprung = spring_force(body, lame, u)
+    energy = jnp.sum(weight * stored.reshape(points, elements)) + 0.5 * jnp.sum(u * sprung)
+    return energy, accumulate(body, jnp.transpose(forces, (2, 0, 1))) + sprung
 
 
 def _reference(body: Body) -> Float[Array, "points_3 corners"]:

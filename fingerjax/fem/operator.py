@@ -57,6 +57,12 @@ def internal_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[
     return elastic if springs is None else elastic + springs.force(springs.at(lame, fixed=False), u)
 
 
+def spring_force(body: Body, lame: Lame, u: Float[Array, "nodes 3"]) -> Float[Array, "nodes 3"]:
+    """Nodal forces, N, of all springs beside the elements, those among them that do not follow the moduli too."""
+    springs = body.springs
+    return jnp.zeros_like(u) if springs is None else springs.force(springs.at(lame), u)
+
+
 def _pulled_back(body: Body, lame: Lame, gradient: list[Float[Array, "points 3 elements"]]) -> list[Float[Array, "points 3 elements"]]:
     """Stress times weight, seen along the reference axes (q, k, e) for each direction i, from the displacement's reference gradient."""
     inverse, axes = body.inverse_along, range(3)

@@ -14,7 +14,7 @@ from . import operator
 from .assembly import Assembled
 from .body import Body
 from .energy import moduli
-from .operator import displacement_gradient, nodal_forces
+from .operator import displacement_gradient, nodal_forces, spring_force
 from .tissue import AbstractTissue
 
 Field = Float[Array, "nodes 3"]
@@ -68,10 +68,11 @@ class Tangent(AbstractStiffness):
     def __call__(self, u: Field) -> Field:
         e, q = self.body.weight.shape
         gradient = displacement_gradient(self.body, u).reshape(e, q, 9, 1)
-        return nodal_forces(self.body, (self.moduli.reshape(e, q, 9, 9) @ gradient).reshape(e, q, 3, 3))
+        elements = nodal_forces(self.body, (self.moduli.reshape(e, q, 9, 9) @ gradient).reshape(e, q, 3, 3))
+        return elements + spring_force(self.body, jnp.asarray(self.lame), u)
 
     def matrix(self, pattern: Assembled) -> sp.csr_matrix:
-        return pattern.filled(np.asarray(element_tangents(self)))
+        return pattern.filled(np.asarray(element_tangents(self)), np.asarray(self.lame), self.body.springs)
 
 
 @eqx.filter_jit
