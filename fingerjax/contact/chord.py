@@ -41,10 +41,11 @@ ALIKE = 1e-12  # combinations of steps whose product is less than this share of 
 
 
 class Imposed(NamedTuple):
-    """A travel, mm, or a force, N; the other is None."""
+    """A travel, mm, or a force, N; the other is None. `series`: mm/N that the apparatus gives way, as part of the travel."""
 
     travel: float | None
     force: float | None
+    series: float = 0.0
 
 
 class Place:
@@ -180,7 +181,8 @@ class Search:
             return None
         v = u - self.chord(force)
         free, moved = (jnp.asarray(self.place.matrix.T @ each) for each in (v, u))
-        contact, opening = _touching(self.chord.compliance, self.place.interface, free, moved, active, *map(_number, self.imposed))
+        said = _number(self.imposed.travel), _number(self.imposed.force), jnp.asarray(self.imposed.series, float)
+        contact, opening = _touching(self.chord.compliance, self.place.interface, free, moved, active, *said)
         if not bool(contact.settled):
             return None
         load = self.place.matrix @ np.asarray(contact.nodal_forces)
@@ -232,12 +234,13 @@ def _touching(
     active: Array,
     travel: Float[Array, ""] | None,
     force: Float[Array, ""] | None,
+    series: Float[Array, ""],
 ) -> tuple[Contact, Float[Array, ""]]:
     """The contact of compliance C, mm/N, with a free surface, and how far the gaps over the skin where it is now are from its own."""
     shifted = eqx.tree_at(lambda part: part.overlap, interface, interface.overlap - interface.load.T @ free)
-    contact = press(C, shifted, travel=travel, force=force, start=active)
+    contact = press(C, shifted, travel=travel, force=force, start=active, series=series)
     present = interface.area > 0
-    gap = interface.load.T @ moved - interface.overlap - contact.travel * interface.area
+    gap = interface.load.T @ moved - interface.overlap - (contact.travel - series * contact.force) * interface.area
     error = jnp.where(present, gap / jnp.where(present, interface.area, 1.0) - contact.gap, 0.0)
     wrong = jnp.where(contact.active, jnp.abs(error), jnp.maximum(-(contact.gap + error), 0.0))
     size = jnp.abs(contact.travel)

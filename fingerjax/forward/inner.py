@@ -1,17 +1,20 @@
 """How readings change with an internal force that the model lacks: one linear answer, whatever the force is a function of.
 
 A force f(u) per unit of what is missing moves the free surface and every other reading by - B' K^-1 f(u); the indenter then rests on it as
-on any other shift, with the contacts held as they are.
+on any other shift, with the contacts held as they are. Another body with the same skin and the same supports is such a force too, and may
+read the same displacement otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Array, Float
 
 from ..effects.added import Effects
@@ -21,18 +24,34 @@ from ..fem.condensed import AbstractCondensed
 from ..fem.energy import internal_force
 from ..fem.slopes import distinct
 from ..fem.stiffness import held_by
-from ..fem.tissue import AbstractTissue
+from ..fem.tissue import AbstractTissue, Linear
 from .model import Assembled, Model
 from .pressing import Known, settle_with
 from .readings import Instruments
+from .rigs import lay, plans
 from .wiring import Values
 
 Field = Float[Array, "nodes 3"]
 BLOCK = 32  # indentations whose answers are looked for at a time
 
 
-def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float[Array, "rows d"]:
-    """Slopes of every row, measurement after measurement, in amounts of internal forces that the linear model lacks."""
+class Beside(NamedTuple):
+    """Another `body` with the same skin and supports, the `step` of an effect to it, and how much more its columns (3n, m) read per unit of
+    the effect; None where they read the same.
+    """
+
+    body: Body
+    step: float
+    columns: sp.csc_matrix | None = None
+
+    def reads(self, u: Float[np.ndarray, "k _"], m: int) -> Float[np.ndarray, "k m"]:
+        """What all m columns read more of displacements (k, 3n), mm, per unit of the effect."""
+        return np.zeros((len(u), m)) if self.columns is None else (self.columns.T @ u.T).T
+
+
+def inner_slopes(model: Model, values: Values, lacking: Sequence[Force | Beside]) -> Float[Array, "rows d"]:
+    """Slopes of every row, measurement after measurement, in amounts of internal forces that the linear model lacks, or towards bodies."""
+    forces = [_between(model.body, each) if isinstance(each, Beside) else each for each in lacking]
     lames = [material.lame() for material in model.instruments.materials(values)]
     bodies = model.condensed(lames)
 
@@ -42,7 +61,11 @@ def inner_slopes(model: Model, values: Values, forces: Sequence[Force]) -> Float
             return jnp.zeros((0, len(forces), model.columns.count))
         u = condensed.displacement(jnp.asarray(once))
         found = [condensed.readings(_forces(forces, model.body, lames[variant], u[at : at + BLOCK])) for at in range(0, len(u), BLOCK)]
-        return -jnp.concatenate(found).reshape(len(u), len(forces), -1)[which]
+        moved = -np.concatenate(found).reshape(len(u), len(forces), -1)
+        for number, each in enumerate(lacking):
+            if isinstance(each, Beside):
+                moved[:, number] += each.reads(np.asarray(u).reshape(len(u), -1), moved.shape[2])
+        return jnp.asarray(moved[which])
 
     directions = jnp.zeros((len(lames), len(forces), *lames[0].shape))
     known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
@@ -74,13 +97,37 @@ def slopes_of(instruments: Instruments, known: Known, values: dict[str, Array], 
     return jax.jacfwd(readings)(jnp.zeros(count))
 
 
-def between(other: Body, step: float) -> Force:
-    """What another body's internal force has more, per unit of the `step` to it."""
+def _between(body: Body, other: Beside) -> Force:
+    """What another body's internal force has more, per unit of the step to it."""
 
     def more(lame: Float[Array, "2 layers"], u: Field, held: Field) -> Field:
-        return (held_by(other, lame, u) - held) / step
+        return towards(Linear(), lame, body, other, u)
 
     return more
+
+
+def towards(law: AbstractTissue, lame: Float[Array, "2 layers"], body: Body, other: Beside, u: Field) -> Field:
+    """The change of the internal force (n, 3), N, of tissue of any law at a displacement (n, 3), mm, per unit of the step to another body.
+
+    Where the bone is elsewhere in the other body, its rigid motions R are others: a bone that keeps its motion R q moves by R' q more, and
+    what holds it works on R' too.
+    """
+    return _towards(law, lame, body, other.body, jnp.asarray(other.step), u)
+
+
+@eqx.filter_jit
+def _towards(law: AbstractTissue, lame: Float[Array, "2 layers"], body: Body, other: Body, step: Array, u: Field) -> Field:
+    def held(body: Body, u: Field) -> Field:
+        return held_by(body, lame, u) if isinstance(law, Linear) else internal_force(body, law, lame, u)
+
+    here, flat = held(body, u), body.modes.reshape(len(body.modes), u.size)
+    more = (held(other, u) - here) / step
+    if len(flat) == 0:
+        return more
+    turned = (other.modes.reshape(flat.shape) - flat) / step
+    moved = ((flat @ u.ravel()) @ turned).reshape(u.shape)
+    lifted = ((turned @ here.ravel()) @ flat).reshape(u.shape)
+    return more + jax.jvp(lambda at: held(body, at), (u,), (moved,))[1] + lifted
 
 
 def of_law(body: Body, law: Callable[[Array], AbstractTissue], null: float) -> Force:
@@ -97,9 +144,20 @@ def _slope_of_law(body: Body, law: Callable, null: Array, lame: Float[Array, "2 
     return jax.jvp(lambda size: internal_force(body, law(size), lame, u), (null,), (jnp.ones(()),))[1]
 
 
-def model_body(ready: Assembled, effects: Effects) -> Body:
-    """The body of a study with effects on it, and nothing laid out on it."""
-    bone = ready.study.model.bone_kind()
+def beside(ready: Assembled, effects: Effects, step: float) -> Beside | None:
+    """The body of a study with other effects on it, `step` away from the one that it has; None where its skin or its supports are others.
+
+    **Raises** `ValueError` where an effect turns elements over.
+    """
+    bone, here = ready.study.model.bone_kind(), ready.model.body
     finger = effects.shape(ready.mesh, ready.solid)
     finger = finger if bone == "elastic" else finger.without_bone()
-    return effects.support(body(finger, bone=bone), finger, ready.solid)
+    there = effects.support(body(finger, bone=bone, dilatation=here.dilatation), finger, ready.solid)
+    skin = np.unique(finger.skin)
+    if not np.array_equal(there.free, here.free) or not np.array_equal(finger.nodes[skin], ready.finger.nodes[skin]):
+        return None
+    if np.array_equal(finger.nodes, ready.finger.nodes):
+        return Beside(there, step)
+    planned = [plan.changed(effects) for plan in plans(ready.study.measurements, ready.solid, ready.model.wired)]
+    laid = lay(planned, finger, there, ready.solid, ready.skin)
+    return Beside(there, step, sp.csc_matrix((laid.columns - ready.model.columns.matrix()) / step))

@@ -26,6 +26,7 @@ from .._results import RESULTS
 from ..contact.chord import Chord, Chording, Imposed, Place, Resting, Search, tangent_chord
 from ..contact.indentation import Contact
 from ..contact.strained import Indenting
+from ..effects.added import Added
 from ..effects.records import Push
 from ..fem.columns import Columns
 from ..fem.condensed import AbstractCondensed, first_like
@@ -147,14 +148,19 @@ def paths(rig: Rig, variant: int) -> Iterator[tuple[int, list[int]]]:
 
 
 def imposed_on(model: Model, values: Values, rig: Rig, case: int) -> Imposed:
-    """What is imposed in a case, with effects on the push. **Raises** `ValueError` for an apparatus that gives way."""
+    """What is imposed in a case, with effects on the push. **Raises** `ValueError` for an effect that changes what skin is in the way."""
     geometry = jax.tree.map(lambda leaf: leaf[rig.pose[case]], rig.interface)
-    said = Push(rig.imposed[case], geometry.overlap, geometry.area, jnp.zeros(()), rig.forced, rig.context.measurement)
-    push = model.instruments.added.push(said, values)
-    if float(push.series) != 0.0:
-        raise ValueError("an apparatus that gives way is not computed together with nonlinear tissue")
-    value = float(push.imposed)
-    return Imposed(None, value) if rig.forced else Imposed(value, None)
+    push = pushed(model.instruments.added, rig, rig.pose[case], rig.imposed[case], values)
+    if not np.array_equal(push.overlap, geometry.overlap):
+        raise ValueError("an effect that changes what skin is in the way is not computed together with nonlinear tissue")
+    value, series = float(push.imposed), float(push.series)
+    return Imposed(None, value, series) if rig.forced else Imposed(value, None, series)
+
+
+def pushed(added: Added, rig: Rig, pose: Array, imposed: Array, values: Values) -> Push:
+    """One push of a rig with the effects on it."""
+    overlap, area = rig.interface.overlap[pose], rig.interface.area[pose]
+    return added.push(Push(imposed, overlap, area, jnp.zeros(()), rig.forced, rig.context.measurement), values)
 
 
 def twin(rig: Rig, case: int, variant: int) -> int | None:
@@ -270,9 +276,9 @@ def _by_halves(
 
 def _half_way(last: Resting, imposed: Imposed) -> Imposed:
     if imposed.travel is not None:
-        return Imposed(0.5 * (float(last.contact.travel) + imposed.travel), None)
+        return imposed._replace(travel=0.5 * (float(last.contact.travel) + imposed.travel))
     assert imposed.force is not None
-    return Imposed(None, 0.5 * (float(last.contact.force) + imposed.force))
+    return imposed._replace(force=0.5 * (float(last.contact.force) + imposed.force))
 
 
 def _sum(before: Ended, now: Ended) -> Ended:
@@ -281,8 +287,10 @@ def _sum(before: Ended, now: Ended) -> Ended:
 
 
 def _by_newton(tissue: Tissue, place: Place, imposed: Imposed, last: Resting | None, chording: Chording, spent: Ended) -> Ended:
-    """By Newton's method from the equilibrium before, its end told as a chord tells it."""
-    travel, force = (None if value is None else jnp.asarray(value) for value in imposed)
+    """By Newton's method from the equilibrium before, its end told as a chord tells it; not for an apparatus that gives way."""
+    if imposed.series != 0.0:
+        return spent
+    travel, force = (None if value is None else jnp.asarray(value) for value in imposed[:2])
     found = find(tissue, Indenting(place.columns, place.interface, travel, force), Newton(chording.tolerance), _state(last))
     near = tangent_chord(tissue, place, np.asarray(found.state.displacement).ravel()) if found.result.ok else None
     if near is None:

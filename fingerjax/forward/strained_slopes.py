@@ -5,13 +5,14 @@ At the null of a law one linear answer is enough: its extra internal force f_phi
     - B' K^-1 f_phi(u),
 
 with the active set held, and contact answers as to any other shift. At a strained state the implicit rule does the same with the tangent
-of each equilibrium, in the moduli too.
+of each equilibrium, in the moduli too, in what effects change of the push, and in other bodies with the same supports.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..contact.chord import Resting
+from ..effects.added import Added
 from ..fem.body import Body
 from ..fem.cholesky import Indefinite
 from ..fem.condensed import AbstractCondensed, first_like
@@ -28,12 +30,13 @@ from ..fem.equilibrium import Tissue
 from ..fem.operator import Lame
 from ..fem.stiffness import tangent
 from ..fem.tissue import AbstractTissue, Linear
+from .inner import Beside, towards
 from .model import Model
 from .pressing import Known, settle_with
 from .problem import Health
 from .readings import Instruments
 from .rigs import Rig
-from .strained import Strained, place_of, rig_readings, twin
+from .strained import Strained, place_of, pushed, rig_readings, twin
 from .wiring import Values
 
 Vector = Float[Array, " d"]
@@ -41,6 +44,16 @@ Law = Callable[[Vector], AbstractTissue]
 LINEAR = 1e-9  # relative difference of two forces up to which one law is another
 ALIKE = 16  # loads are filled up to a multiple of this, so that code is compiled for few numbers of them
 Of = Callable[[Vector], tuple[Values, AbstractTissue]]
+
+
+class Ways(NamedTuple):
+    """How a case changes in d ways: `material`, the Lame parameters (d, 2, layers) and the numbers of the law; `imposed` (d,), mm or N, and
+    `series` (d,), mm/N, of the apparatus.
+    """
+
+    material: tuple[Float[Array, "d 2 layers"], AbstractTissue]
+    imposed: Float[np.ndarray, " d"]
+    series: Float[np.ndarray, " d"]
 
 
 def law_tangent(model: Model, values: Values, law: Law, null: Vector) -> Float[Array, "rows d"]:
@@ -98,71 +111,97 @@ def strained_jacobian(model: Model, of: Of, at: Vector, found: Strained) -> Floa
     return strained_slopes(model, of, at, found)[0]
 
 
-def strained_slopes(model: Model, of: Of, at: Vector, found: Strained) -> tuple[Float[Array, "rows d"], Strained]:
-    """The same, and `found` with the slopes of its displacements, from where the equilibria of neighbouring parameters can be expected."""
+def strained_slopes(
+    model: Model, of: Of, at: Vector, found: Strained, bodies: Sequence[Beside] = ()
+) -> tuple[Float[Array, "rows d_b"], Strained]:
+    """The same, and `found` with the slopes of its displacements, from where the equilibria of neighbouring parameters can be expected.
+
+    Slopes towards other `bodies` come after those in the parameters.
+    """
     values, law = of(at)
-    slopes = [np.full((len(rig.pose), len(at), model.columns.count + 2), np.nan) for rig in model.instruments.rigs]
+    count = len(at) + len(bodies)
+    slopes = [np.full((len(rig.pose), count, model.columns.count + 2), np.nan) for rig in model.instruments.rigs]
     moved: list[list[np.ndarray | None]] = [[None] * len(rig.pose) for rig in model.instruments.rigs]
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
+    materials = [_material_ways(model.instruments, of, at, variant) for variant in range(len(tissues))]
     for number, rig in enumerate(model.instruments.rigs):
-        for first, twins in _of_one_shape(rig, tissues).items():
+        series, *pushes = (np.asarray(each) for each in _push_ways(model.instruments.added, rig, of, at))
+        ways = [Ways(materials[variant], *each) for variant, *each in zip(np.asarray(rig.variant).tolist(), *pushes, strict=True)]
+        for first, twins in _of_one_shape(rig, tissues, rigid=not np.any(series)).items():
             rests = {case: rest for case, _ in twins if (rest := found.cases[number][case].rest) is not None}
             if first in rests:
-                for case, own in _shape_slopes(model, tissues, rig, first, dict(twins), rests, of, at):
+                shape = Shape(model, tissues, rig, first, dict(twins), rests, float(series[first]))
+                for case, own in _shape_slopes(shape, ways, bodies, len(at)):
                     slopes[number][case], moved[number][case] = own
     contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
     rows = _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
     return rows, dataclasses.replace(found, slopes=tuple(map(tuple, moved)))
 
 
-def _of_one_shape(rig: Rig, tissues: Sequence[Tissue]) -> dict[int, list[tuple[int, float]]]:
-    """Cases of one shape under the first of them: each with how many times as stiff its tissue is."""
+def _of_one_shape(rig: Rig, tissues: Sequence[Tissue], rigid: bool) -> dict[int, list[tuple[int, float]]]:
+    """Cases of one shape under the first of them: each with how many times as stiff its tissue is. An apparatus that is not `rigid` gives
+    way by other lengths under stiffer tissue.
+    """
     found: dict[int, list[tuple[int, float]]] = {}
     for variant in range(len(tissues)):
         like, stiffer = first_like(tissues[0].body, [tissue.lame for tissue in tissues], variant)
         for case in np.flatnonzero(np.asarray(rig.variant) == variant).tolist():
-            other = None if like == variant else twin(rig, case, like)
+            other = None if like == variant or not rigid else twin(rig, case, like)
             first, times = (case, 1.0) if other is None else (other, stiffer)
             found.setdefault(first, []).append((case, times))
     return found
 
 
+class Shape(NamedTuple):
+    """Cases of one shape: the `first`, how many `times` as stiff the tissue of each is, and how each rests, under an apparatus that gives
+    way by `series`, mm/N.
+    """
+
+    model: Model
+    tissues: Sequence[Tissue]
+    rig: Rig
+    first: int
+    times: dict[int, float]
+    rests: dict[int, Resting]
+    series: float
+
+
 def _shape_slopes(
-    model: Model,
-    tissues: Sequence[Tissue],
-    rig: Rig,
-    first: int,
-    times: dict[int, float],
-    rests: dict[int, Resting],
-    of: Of,
-    at: Vector,
-) -> Iterator[tuple[int, tuple[Float[np.ndarray, "d m_2"], Float[np.ndarray, "d _"]]]]:
-    """Of cases of one shape: change of every column's reading, then of the force and of the travel, with each parameter; and of the
-    displacement (d, 3n). Nothing where the shape's tangent has no answer.
+    shape: Shape, ways: Sequence[Ways], bodies: Sequence[Beside], d: int
+) -> Iterator[tuple[int, tuple[Float[np.ndarray, "d_b m_2"], Float[np.ndarray, "d_b _"]]]]:
+    """Of cases of one shape: change of every column's reading, then of the force and of the travel, with each parameter and towards each
+    body; and of the displacement (d + b, 3n). Nothing where the shape's tangent has no answer.
 
     What touches goes on touching: the tangent answers a unit of each pressure there, and every change of the internal force.
     """
-    place, _ = place_of(model, rig, int(rig.pose[first]))
+    model, rig, rests, times = shape.model, shape.rig, shape.rests, shape.times
+    place, _ = place_of(model, rig, int(rig.pose[shape.first]))
     active = {case: np.asarray(rest.contact.active) for case, rest in rests.items()}
     touching = np.flatnonzero(np.any(list(active.values()), axis=0))
     hats, area = place.matrix @ np.asarray(place.interface.load)[:, touching], np.asarray(place.interface.area)[touching]
-    own = {case: tissues[int(rig.variant[case])] for case in rests}
-    ways = {case: _ways(model.instruments, of, at, int(rig.variant[case])) for case in rests}
-    felt = {case: _felt(way) for case, way in ways.items()}
-    pushes = [_pushes(own[case], ways[case], felt[case], rest.displacement) for case, rest in rests.items()]
-    found = _undone(own[first], rests[first].displacement, np.concatenate([hats.T, *(-push for push in pushes)]))
+    own = {case: shape.tissues[int(rig.variant[case])] for case in rests}
+    felt = {case: _felt(ways[case].material) for case in rests}
+    count, matrix = d + len(bodies), model.columns.matrix()
+    pushing = {case: np.append(felt[case], np.arange(d, count)) for case in rests}
+    pushes = [_pushes(own[case], ways[case].material, felt[case], bodies, rest.displacement) for case, rest in rests.items()]
+    found = _undone(own[shape.first], rests[shape.first].displacement, np.concatenate([hats.T, *(-push for push in pushes)]))
     if found is None:
         return
-    pressed, *freely = np.split(found, np.cumsum([len(touching), *(len(each) for each in felt.values())])[:-1])
+    pressed, *freely = np.split(found, np.cumsum([len(touching), *(len(each) for each in pushing.values())])[:-1])
     for case, free in zip(rests, freely, strict=True):
         here = active[case][touching]
-        under = pressed[here].T / times[case]
-        pressure, travel = _held(hats[:, here].T @ under, area[here], hats[:, here].T @ free.T / times[case], rig.forced)
-        moved = np.zeros((len(at), found.shape[1]))
-        moved[felt[case]] = free / times[case] + (under @ pressure).T
-        slopes = np.zeros((len(at), model.columns.count + 2))
-        slopes[:, :-2] = (model.columns.matrix().T @ moved.T).T
-        slopes[felt[case], -2], slopes[felt[case], -1] = area[here] @ pressure, travel
+        under, size = pressed[here].T / times[case], area[here]
+        moved, imposed, gap = np.zeros((count, found.shape[1])), np.zeros(count), np.zeros((here.sum(), count))
+        moved[pushing[case]], imposed[:d] = free / times[case], ways[case].imposed
+        gap[:, pushing[case]] = hats[:, here].T @ moved[pushing[case]].T
+        gap[:, :d] += float(rests[case].contact.force) * np.outer(size, ways[case].series)
+        compliance = hats[:, here].T @ under + shape.series * np.outer(size, size)
+        pressure, travel = _held(compliance, size, gap, imposed, rig.forced)
+        moved += (under @ pressure).T
+        read = (matrix.T @ moved.T).T
+        for number, other in enumerate(bodies):
+            read[d + number] += other.reads(rests[case].displacement[None], read.shape[1])[0]
+        slopes = np.concatenate([read, (size @ pressure)[:, None], travel[:, None]], axis=1)
         yield case, (slopes, moved)
 
 
@@ -178,21 +217,26 @@ def _undone(tissue: Tissue, u: np.ndarray, loads: np.ndarray) -> np.ndarray | No
 
 
 def _held(
-    compliance: Float[np.ndarray, "a a"], area: Float[np.ndarray, " a"], gap: Float[np.ndarray, "a d"], forced: bool
+    compliance: Float[np.ndarray, "a a"],
+    area: Float[np.ndarray, " a"],
+    gap: Float[np.ndarray, "a d"],
+    imposed: Float[np.ndarray, " d"],
+    forced: bool,
 ) -> tuple[Float[np.ndarray, "a d"], Float[np.ndarray, " d"]]:
-    """Changes of the pressures, MPa, and of the travel, mm, that keep what touches in touch while its gaps open: travel held, or the force.
+    """Changes of the pressures, MPa, and of the travel, mm, that keep what touches in touch while its gaps open: travel imposed, or force.
 
-    **Arguments:** `compliance`, mm^3 of gap under each hat per MPa on each; `area`, mm^2; `gap`, mm^3, by which each opens in d ways.
+    **Arguments:** `compliance`, mm^3 of gap under each hat per MPa on each; `area`, mm^2; `gap`, mm^3, by which each opens in d ways, and
+    `imposed`, mm or N, what is imposed more in each.
     """
     if not forced or not len(area):
-        return -np.linalg.solve(compliance, gap), np.zeros(gap.shape[1])
+        return -np.linalg.solve(compliance, gap - np.outer(area, imposed)), np.zeros(gap.shape[1]) if forced else imposed
     bordered = np.block([[compliance, -area[:, None]], [area[None], np.zeros((1, 1))]])
-    ends = -np.linalg.solve(bordered, np.concatenate([gap, np.zeros((1, gap.shape[1]))]))
+    ends = np.linalg.solve(bordered, np.concatenate([-gap, imposed[None]]))
     return ends[:-1], ends[-1]
 
 
 @eqx.filter_jit
-def _ways(instruments: Instruments, of: Of, at: Vector, variant: int) -> tuple[Float[Array, "d 2 layers"], AbstractTissue]:
+def _material_ways(instruments: Instruments, of: Of, at: Vector, variant: int) -> tuple[Float[Array, "d 2 layers"], AbstractTissue]:
     """How the Lame parameters of a variant's tissue and the numbers of its law, each (d, ...), change with each parameter."""
 
     def numbers(vector: Vector) -> tuple[Lame, AbstractTissue]:
@@ -202,6 +246,20 @@ def _ways(instruments: Instruments, of: Of, at: Vector, variant: int) -> tuple[F
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), jax.jacfwd(numbers)(at))
 
 
+@eqx.filter_jit
+def _push_ways(
+    added: Added, rig: Rig, of: Of, at: Vector
+) -> tuple[Float[Array, " cases"], Float[Array, "cases d"], Float[Array, "cases d"]]:
+    """What the apparatus gives way in each case, mm/N; how what is imposed changes with each parameter; and how the first does."""
+
+    def pushes(vector: Vector) -> tuple[Array, Array]:
+        values = of(vector)[0]
+        each = jax.vmap(lambda pose, imposed: pushed(added, rig, pose, imposed, values))(rig.pose, rig.imposed)
+        return each.imposed, jnp.broadcast_to(each.series, each.imposed.shape)
+
+    return pushes(at)[1], *jax.jacfwd(pushes)(at)
+
+
 def _felt(ways: tuple[Array, AbstractTissue]) -> Int[np.ndarray, " f"]:
     """The parameters that a tissue depends on: not those of other subjects."""
     sizes = [np.abs(np.asarray(leaf)).reshape(len(leaf), -1).max(axis=1, initial=0.0) for leaf in jax.tree.leaves(ways)]
@@ -209,11 +267,13 @@ def _felt(ways: tuple[Array, AbstractTissue]) -> Int[np.ndarray, " f"]:
 
 
 def _pushes(
-    tissue: Tissue, ways: tuple[Array, AbstractTissue], felt: Int[np.ndarray, " f"], u: Float[np.ndarray, " _"]
-) -> Float[np.ndarray, "f _"]:
-    """Change of the internal force (3n,), N, at a displacement (3n,), mm, with some of the parameters."""
-    some, field = jax.tree.map(lambda leaf: leaf[felt], ways), jnp.asarray(u).reshape(-1, 3)
-    return np.asarray(_forces(tissue.body, tissue.law, some, jnp.asarray(tissue.lame), field)).reshape(len(felt), -1)
+    tissue: Tissue, ways: tuple[Array, AbstractTissue], felt: Int[np.ndarray, " f"], bodies: Sequence[Beside], u: Float[np.ndarray, " _"]
+) -> Float[np.ndarray, "f_b _"]:
+    """Change of the internal force (3n,), N, at a displacement (3n,), mm, with some of the parameters, then towards other bodies."""
+    some, field, lame = jax.tree.map(lambda leaf: leaf[felt], ways), jnp.asarray(u).reshape(-1, 3), jnp.asarray(tissue.lame)
+    found = [np.asarray(_forces(tissue.body, tissue.law, some, lame, field)).reshape(len(felt), -1)]
+    found += [np.asarray(towards(tissue.law, lame, tissue.body, other, field)).reshape(1, -1) for other in bodies]
+    return np.concatenate(found)
 
 
 @eqx.filter_jit
@@ -229,7 +289,7 @@ def _forces(
 
 
 @eqx.filter_jit
-def _rows(instruments: Instruments, contacts: list, slopes: list[Array], of: Of, at: Vector) -> Float[Array, "rows d"]:
+def _rows(instruments: Instruments, contacts: list, slopes: list[Array], of: Of, at: Vector) -> Float[Array, "rows d_b"]:
     """From the slopes of columns, forces and travels to those of the rows of each measurement."""
     health = Health(jnp.asarray(True), jnp.asarray(0), jnp.asarray(0.0))
 
@@ -239,6 +299,6 @@ def _rows(instruments: Instruments, contacts: list, slopes: list[Array], of: Of,
             change = jnp.einsum("d,cdm->cm", step, slope)
             ends = contact.force + change[:, -2], contact.travel + change[:, -1]
             moved.append((eqx.tree_at(lambda part: (part.force, part.travel), contact, ends), observed + change[:, :-2]))
-        return jnp.concatenate(instruments.told(moved, of(at + step)[0], health).readings)
+        return jnp.concatenate(instruments.told(moved, of(at + step[: len(at)])[0], health).readings)
 
-    return jax.jacfwd(readings)(jnp.zeros_like(at))
+    return jax.jacfwd(readings)(jnp.zeros(slopes[0].shape[1]))

@@ -1,4 +1,4 @@
-"""Raw parameters and numbers of laws as one vector, for slopes at strained states."""
+"""Raw parameters and numbers of effects as one vector, for slopes at strained states."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from ..parameters import Parameter
 
 
 class Lawful(eqx.Module):
-    """Values and the tissue's law from a vector of raw `parameters`, then of the `moving` numbers (effect, number) of `laws`.
+    """Values and the tissue's law from a vector of raw `parameters`, then of the `moving` numbers (effect, number) of `laws` or of others,
+    which are among the values.
 
     What is held is in `values` and in `amounts`, effect -> its numbers. Numbers are arrays, so that code is compiled once for all of them.
     """
@@ -28,7 +29,10 @@ class Lawful(eqx.Module):
         named = {one.name: one.natural(at[number]) for number, one in enumerate(self.parameters)}
         said = {name: dict(numbers) for name, numbers in self.amounts.items()}
         for (effect, number), value in zip(self.moving, at[len(self.parameters) :], strict=True):
-            said[effect][number] = value
+            if effect in said:
+                said[effect][number] = value
+            else:
+                named[f"{effect}.{number}"] = value
         law: AbstractTissue = Linear()
         for one in self.laws:
             law = one.law(law, said[one.name])

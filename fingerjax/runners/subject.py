@@ -18,7 +18,7 @@ from ..effects.effect import Force
 from ..errors import InputError
 from ..fem.cholesky import Indefinite
 from ..fem.tissue import Linear
-from ..forward.inner import between, first_order, inner_slopes, of_law
+from ..forward.inner import Beside, first_order, inner_slopes, of_law
 from ..forward.model import Assembled, softened
 from ..forward.readings import Prediction, Solved
 from ..forward.shape import Tell, unheard
@@ -33,6 +33,7 @@ from .rows import rows_of
 from .variants import Amounts, Variants
 
 DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm about where the study begins: a factor of ten is two of them
+BESIDE = 1e-5  # of an effect's plausible size: the step to another body; what differs then is computed exactly
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 TURN = 1e-5  # of a raw parameter: the step of a difference
 LIKE = 0.1  # of a measurement's readings, root mean square, that a coarser mesh may be off by for laws to be followed on it
@@ -281,14 +282,9 @@ class FingerSubject(AbstractSubject):
         return np.concatenate([np.asarray(each) for each in found.prediction.readings]) - linear, found, on
 
     def _numbered(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> dict[str, float]:
-        """Raw parameters and numbers of laws by name."""
-        own = {
-            f"{name}.{number}": float(value)
-            for name, each in amounts.items()
-            if self.effects[name].is_law
-            for number, value in each.items()
-        }
-        return {one.name: float(value) for one, value in zip(self.parameters, raw, strict=True)} | own
+        """Raw parameters and numbers of effects by name."""
+        numbers = {f"{name}.{number}": float(value) for name, each in amounts.items() for number, value in each.items()}
+        return {one.name: float(value) for one, value in zip(self.parameters, raw, strict=True)} | numbers
 
     def _start(self, raw: Float[np.ndarray, " p"], amounts: Amounts, finely: bool) -> Strained | None:
         """Where equilibria are expected: from where the last ones were, along their slopes where these are known."""
@@ -299,37 +295,58 @@ class FingerSubject(AbstractSubject):
         return found.after(np.array([here.get(name, value) - value for name, value in there.items()]))
 
     def _with_law(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
-        """The same for tissue of another law: the linear model's, and what the law adds by the implicit rule, or by differences."""
-        amounts, laws = self._amounts(phi), [key for key in moving if self._is_law(key)]
-        rest = tuple(key for key in moving if key not in laws)
+        """The same for tissue of another law: the linear model's, and what the law adds, with slopes by the implicit rule; by differences
+        in what moves an indenter or the receptor.
+        """
+        amounts, rest = self._amounts(phi), tuple(key for key in moving if not self._is_law(key))
         linear = self.evaluate(raw, {key: value for key, value in phi.items() if not self._is_law(key)}, rest)
         more = self._beyond(raw, amounts)
         if not linear.usable or more is None:
             return self._failed(len(raw), len(moving))
         added, found, rough = more
         own = {name: jax.tree.map(jnp.asarray, numbers) for name, numbers in amounts.items() if self.effects[name].is_law}
-        moved = tuple((self._ways[key].family, self._ways[key].name) for key in laws)
+        numbers = [key for key in moving if self._is_law(key) or self._is_compiled(key)]
+        bodies = {key: other for key in rest if (other := self._beside(rough, amounts, key)) is not None}
+        name_of = {key: (self._ways[key].family, self._ways[key].name) for key in moving}
+        moved = tuple(name_of[key] for key in numbers)
         of = Lawful(tuple(self.parameters), tuple(self.effects[name] for name in own), moved, self._values(raw, amounts), own)
-        rows, sloped = strained_slopes(rough.model, of, jnp.asarray([*raw, *(phi[key] for key in laws)]), found)
-        slopes = np.asarray(rows)
-        linear_slopes = self._linear_slopes(rough, raw, amounts, linear)
-        if linear_slopes is None:
+        at = jnp.asarray([*raw, *(amounts[family][name] for family, name in moved)])
+        rows, sloped = strained_slopes(rough.model, of, at, found, tuple(bodies.values()))
+        there = self._linear_slopes(rough, raw, amounts, linear, rest, bodies)
+        if there is None:
             return self._failed(len(raw), len(moving))
-        others = {key: own + self._beyond_slope(raw, phi, key, added) for key, own in zip(rest, linear.phi_jacobian.T, strict=True)}
-        numbers = self._numbered(raw, amounts)
-        self._last[False] = sloped, {name: numbers[name] for name in [*(one.name for one in self.parameters), *map(".".join, moved)]}
-        columns = [slopes[:, len(raw) + laws.index(key)] if key in laws else others[key] for key in moving]
-        theta = linear.theta_jacobian + slopes[:, : len(raw)] - linear_slopes
+        sizes, keys = self._numbered(raw, amounts), [*numbers, *bodies]
+        names = [*(one.name for one in self.parameters), *(".".join(name_of[key]) for key in keys)]
+        self._last[False] = sloped, {name: sizes[name] for name in names}
+        theta = linear.theta_jacobian + np.asarray(rows)[:, : len(raw)] - there[0]
+        slopes, phis = dict(zip(keys, np.asarray(rows)[:, len(raw) :].T, strict=True)), dict(zip(rest, linear.phi_jacobian.T, strict=True))
+        for key in rest:
+            beyond = slopes[key] - there[1][key] if key in slopes else self._beyond_slope(raw, phi, key, added)
+            slopes[key] = phis[key] + beyond
+        columns = [slopes[key] for key in moving]
         return Evaluation(linear.prediction + added, theta, np.stack(columns, axis=1) if columns else np.zeros((len(added), 0)))
 
     def _linear_slopes(
-        self, rough: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts, linear: Evaluation
-    ) -> Float[np.ndarray, "rows p"] | None:
-        """Those of the linear model on the mesh on which laws are followed, in the raw parameters."""
+        self,
+        rough: Assembled,
+        raw: Float[np.ndarray, " p"],
+        amounts: Amounts,
+        linear: Evaluation,
+        keys: tuple[str, ...],
+        bodies: Mapping[str, Beside],
+    ) -> tuple[Float[np.ndarray, "rows p"], dict[str, Float[np.ndarray, " rows"]]] | None:
+        """Those of the linear model on the mesh on which laws are followed, in the raw parameters, and in compiled effects and bodies."""
         if rough is self._variants.of(amounts) and not self._rubs(amounts):
-            return linear.theta_jacobian
-        found = self._linearised(rough, raw, amounts, ())
-        return None if found is None else found[1]
+            return linear.theta_jacobian, dict(zip(keys, linear.phi_jacobian.T, strict=True))
+        compiled = [key for key in keys if self._is_compiled(key)]
+        found = self._linearised(rough, raw, amounts, tuple(compiled))
+        if found is None:
+            return None
+        theta, slopes = found[1][:, : len(raw)], dict(zip(compiled, found[1][:, len(raw) :].T, strict=True))
+        if bodies:
+            columns = np.asarray(inner_slopes(rough.model, self._values(raw, amounts), list(bodies.values())))
+            slopes |= dict(zip(bodies, columns.T, strict=True))
+        return theta, slopes
 
     def _beyond_slope(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         """How what a law adds changes with another effect."""
@@ -371,27 +388,39 @@ class FingerSubject(AbstractSubject):
         model = self._variants.of(amounts)
         if not keys or model is None:
             return {}
-        found = {key: force for key in keys if (force := self._force_of(model, amounts, key)) is not None}
+        found = {key: other for key in keys if (other := self._lacking(model, amounts, key)) is not None}
         if not found:
             return {}
         columns = inner_slopes(model.model, self._values(raw, amounts), list(found.values()))
         return {key: np.asarray(column) for key, column in zip(found, columns.T, strict=True)}
 
-    def _force_of(self, model: Assembled, amounts: Amounts, key: str) -> Force | None:
-        """The internal force per unit of an effect, where the model is; None where a step of it is possible in neither direction."""
+    def _lacking(self, model: Assembled, amounts: Amounts, key: str) -> Force | Beside | None:
+        """The internal force per unit of an effect, where the model is, or the body beside it; None where neither says all."""
         way = self._ways[key]
         effect, numbers = self.effects[way.family], amounts.get(way.family, self.effects[way.family].null())
         if effect.is_law:
             return of_law(model.model.body, lambda size: effect.law(Linear(), numbers | {way.name: size}), numbers[way.name])
-        at_null = numbers[way.name] == way.null
-        if (at_null or effect.first_order) and (own := effect.force(model.model.body, model.finger, model.solid)) is not None:
-            return own
-        step = (way.step if way.step is not None and at_null else NEAR * way.scale) * (1 if numbers[way.name] < way.upper else -1)
-        body = self._variants.body(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
-        if body is None:  # an element turns over there: the other way
-            step = -step
-            body = self._variants.body(model, amounts | {way.family: numbers | {way.name: numbers[way.name] + step}})
-        return None if body is None else between(body, step)
+        if effect.first_order or numbers[way.name] == way.null:
+            own = effect.force(model.model.body, model.finger, model.solid)
+            if own is not None:
+                return own
+        return self._beside(model, amounts, key)
+
+    def _beside(self, model: Assembled, amounts: Amounts, key: str) -> Beside | None:
+        """The body with a little more of an effect, or with less of it where more cannot be; None for one that does more than to change
+        elements.
+        """
+        way = self._ways[key]
+        if not self._is_inner(key) or self._is_first_order(key):
+            return None
+        numbers = amounts.get(way.family, self.effects[way.family].null())
+        at, step = numbers[way.name], BESIDE * way.scale
+        for each in (step, -step):
+            if way.lower <= at + each <= way.upper:
+                other = self._variants.beside(model, amounts | {way.family: numbers | {way.name: at + each}}, each)
+                if other is not None:
+                    return other
+        return None
 
     def _difference(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         moved, step = self._stepped(phi, key)

@@ -11,9 +11,8 @@ import numpy as np
 
 from ..effects import Effect
 from ..effects.added import Effects
-from ..fem.body import Body
 from ..fem.solver import AbstractSolver, solver_for
-from ..forward.inner import model_body
+from ..forward.inner import Beside, beside
 from ..forward.model import Assembled, assemble, changed, lay_out
 
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
@@ -85,10 +84,10 @@ class Variants:
         """The same on another mesh. **Raises** `ValueError` where the effects cannot be."""
         return self._changed(ready, self.together(amounts))
 
-    def body(self, model: Assembled, amounts: Amounts) -> Body | None:
-        """The body with these effects; None where it cannot be."""
+    def beside(self, model: Assembled, amounts: Amounts, step: float) -> Beside | None:
+        """The body with these effects, a `step` away from a model's own; None where it cannot be, or has other skin or supports."""
         try:
-            return model_body(model, self.together({name: each for name, each in amounts.items() if not self.effects[name].traced}))
+            return beside(model, self.together({name: each for name, each in amounts.items() if not self.effects[name].traced}), step)
         except ValueError:
             return None
 
