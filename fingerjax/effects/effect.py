@@ -120,7 +120,12 @@ class Effect:
     @property
     def inner(self) -> bool:
         """Whether all that it does is to add an internal force, linear in the displacement."""
-        return not any(self._has(method) for method in ("place", "law", "material", "push", "feel", "read"))
+        return not self._has("place") and self.passive
+
+    @property
+    def passive(self) -> bool:
+        """Whether it leaves the law of the tissue and all that is compiled alone: a force, another body, or other places."""
+        return not any(self._has(method) for method in ("law", "material", "push", "feel", "read"))
 
     def _has(self, method: str) -> bool:
         return getattr(type(self), method) is not getattr(Effect, method)

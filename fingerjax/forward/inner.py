@@ -22,6 +22,7 @@ from ..effects.effect import Effect, Force
 from ..fem.body import Body, body
 from ..fem.condensed import AbstractCondensed
 from ..fem.energy import internal_force
+from ..fem.operator import spring_force
 from ..fem.slopes import distinct
 from ..fem.stiffness import held_by
 from ..fem.tissue import AbstractTissue, Linear
@@ -36,13 +37,18 @@ BLOCK = 32  # indentations whose answers are looked for at a time
 
 
 class Beside(NamedTuple):
-    """Another `body` with the same skin and supports, the `step` of an effect to it, and how much more its columns (3n, m) read per unit of
-    the effect; None where they read the same.
+    """Another `body` with the same skin and supports, and the `step` of an effect to it.
+
+    - `columns`: how much more its columns (3n, m) read per unit of the effect; None where they read the same.
+    - `elements`: whether its elements are others; else its springs are. `turned`: change (modes, n, 3) of the rigid motions of a carried
+      bone per unit of the effect; None where there is none.
     """
 
     body: Body
     step: float
-    columns: sp.csc_matrix | None = None
+    columns: sp.csc_matrix | None
+    elements: bool
+    turned: Float[Array, "modes nodes 3"] | None
 
     def reads(self, u: Float[np.ndarray, "k _"], m: int) -> Float[np.ndarray, "k m"]:
         """What all m columns read more of displacements (k, 3n), mm, per unit of the effect."""
@@ -101,9 +107,14 @@ def _between(body: Body, other: Beside) -> Force:
     """What another body's internal force has more, per unit of the step to it."""
 
     def more(lame: Float[Array, "2 layers"], u: Field, held: Field) -> Field:
-        return towards(Linear(), lame, body, other, u)
+        return _towards(Linear(), lame, body, other.body, jnp.asarray(other.step), u, held, other.elements, other.turned)
 
     return more
+
+
+@eqx.filter_jit
+def _held(law: AbstractTissue, body: Body, lame: Float[Array, "2 layers"], u: Field) -> Field:
+    return held_by(body, lame, u) if isinstance(law, Linear) else internal_force(body, law, lame, u)
 
 
 def towards(law: AbstractTissue, lame: Float[Array, "2 layers"], body: Body, other: Beside, u: Field) -> Field:
@@ -112,22 +123,31 @@ def towards(law: AbstractTissue, lame: Float[Array, "2 layers"], body: Body, oth
     Where the bone is elsewhere in the other body, its rigid motions R are others: a bone that keeps its motion R q moves by R' q more, and
     what holds it works on R' too.
     """
-    return _towards(law, lame, body, other.body, jnp.asarray(other.step), u)
+    held = _held(law, body, lame, u)
+    return _towards(law, lame, body, other.body, jnp.asarray(other.step), u, held, other.elements, other.turned)
 
 
 @eqx.filter_jit
-def _towards(law: AbstractTissue, lame: Float[Array, "2 layers"], body: Body, other: Body, step: Array, u: Field) -> Field:
-    def held(body: Body, u: Field) -> Field:
-        return held_by(body, lame, u) if isinstance(law, Linear) else internal_force(body, law, lame, u)
-
-    here, flat = held(body, u), body.modes.reshape(len(body.modes), u.size)
-    more = (held(other, u) - here) / step
-    if len(flat) == 0:
+def _towards(
+    law: AbstractTissue,
+    lame: Float[Array, "2 layers"],
+    body: Body,
+    other: Body,
+    step: Array,
+    u: Field,
+    held: Field,
+    elements: bool,
+    turned: Float[Array, "modes nodes 3"] | None,
+) -> Field:
+    if not elements:
+        return (spring_force(other, lame, u) - spring_force(body, lame, u)) / step
+    more = (_held(law, other, lame, u) - held) / step
+    if turned is None:
         return more
-    turned = (other.modes.reshape(flat.shape) - flat) / step
+    flat, turned = body.modes.reshape(-1, u.size), turned.reshape(-1, u.size)
     moved = ((flat @ u.ravel()) @ turned).reshape(u.shape)
-    lifted = ((turned @ here.ravel()) @ flat).reshape(u.shape)
-    return more + jax.jvp(lambda at: held(body, at), (u,), (moved,))[1] + lifted
+    lifted = ((turned @ held.ravel()) @ flat).reshape(u.shape)
+    return more + jax.jvp(lambda at: _held(law, body, lame, at), (u,), (moved,))[1] + lifted
 
 
 def of_law(body: Body, law: Callable[[Array], AbstractTissue], null: float) -> Force:
@@ -145,10 +165,14 @@ def _slope_of_law(body: Body, law: Callable, null: Array, lame: Float[Array, "2 
 
 
 def beside(ready: Assembled, effects: Effects, step: float) -> Beside | None:
-    """The body of a study with other effects on it, `step` away from the one that it has; None where its skin or its supports are others.
+    """The body of a study with other effects on it, and its receptors where they are then, `step` away from what it has; None where its
+    skin, its supports, its indenters or the layers of its receptors are others.
 
     **Raises** `ValueError` where an effect turns elements over.
     """
+    planned = [plan.changed(effects) for plan in plans(ready.study.measurements, ready.solid, ready.model.wired)]
+    if ready.skin is None or not ready.skin.serves(planned):
+        return None
     bone, here = ready.study.model.bone_kind(), ready.model.body
     finger = effects.shape(ready.mesh, ready.solid)
     finger = finger if bone == "elastic" else finger.without_bone()
@@ -156,8 +180,10 @@ def beside(ready: Assembled, effects: Effects, step: float) -> Beside | None:
     skin = np.unique(finger.skin)
     if not np.array_equal(there.free, here.free) or not np.array_equal(finger.nodes[skin], ready.finger.nodes[skin]):
         return None
-    if np.array_equal(finger.nodes, ready.finger.nodes):
-        return Beside(there, step)
-    planned = [plan.changed(effects) for plan in plans(ready.study.measurements, ready.solid, ready.model.wired)]
     laid = lay(planned, finger, there, ready.solid, ready.skin)
-    return Beside(there, step, sp.csc_matrix((laid.columns - ready.model.columns.matrix()) / step))
+    if tuple(laid.receptor_layer.items()) != ready.model.instruments.receptor_layer:
+        return None
+    read = sp.csc_matrix(laid.columns - ready.model.columns.matrix())
+    elements = not all(np.array_equal(getattr(there, part), getattr(here, part)) for part in ("weight_along", "inverse_along"))
+    turned = None if np.array_equal(there.modes, here.modes) else (there.modes - here.modes) / step
+    return Beside(there, step, read / step if abs(read).max() > 0 else None, elements, turned)

@@ -357,8 +357,9 @@ class FingerSubject(AbstractSubject):
         return np.full(len(here), np.nan) if more is None else (more[0] - here) / step
 
     def _is_inner(self, key: str) -> bool:
-        """Whether an effect is in the internal force, so that one linear answer gives its slope."""
-        return self.effects[self._ways[key].family].inner
+        """Whether an effect may be in the internal force, or in where a receptor is, so that one linear answer gives its slope."""
+        effect = self.effects[self._ways[key].family]
+        return effect.passive and not effect.traced
 
     def _is_first_order(self, key: str) -> bool:
         return self.effects[self._ways[key].family].first_order
@@ -408,13 +409,14 @@ class FingerSubject(AbstractSubject):
 
     def _beside(self, model: Assembled, amounts: Amounts, key: str) -> Beside | None:
         """The body with a little more of an effect, or with less of it where more cannot be; None for one that does more than to change
-        elements.
+        elements or receptors.
         """
-        way = self._ways[key]
+        way, effect = self._ways[key], self.effects[self._ways[key].family]
         if not self._is_inner(key) or self._is_first_order(key):
             return None
-        numbers = amounts.get(way.family, self.effects[way.family].null())
-        at, step = numbers[way.name], BESIDE * way.scale
+        numbers = amounts.get(way.family, effect.null())
+        at = numbers[way.name]
+        step = way.step if way.step is not None and at == way.null and not effect.reshapes else BESIDE * way.scale
         for each in (step, -step):
             if way.lower <= at + each <= way.upper:
                 other = self._variants.beside(model, amounts | {way.family: numbers | {way.name: at + each}}, each)
