@@ -1,6 +1,7 @@
 """How often the residual loop is right about laboratories it has never seen, made by another finite-element program.
 
-`python -m benchmarks.blind [--quick] [--thin] [--seeds N] [--scenarios a,b] [--noise 0.02] [--out FOLDER] [--mesh] [--json FILE] [--write]`
+`python -m benchmarks.blind [--quick] [--thin] [--seeds N] [--scenarios a,b] [--noise 0.02] [--out FOLDER] [--workers N] [--mesh]
+[--json FILE] [--write]`
 
 Writes every scenario of `tests/blind` with N draws of noise, runs `fingerjax diagnose` on each as its own process, and scores the reports
 against the truths. What is finished is kept in FOLDER, so that a run that was stopped goes on. `--thin` asks for coarse meshes and takes
@@ -16,11 +17,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from benchmarks._parts import program
 from benchmarks._record import Figure, listed, record, table, write
 from tests.blind import folders, score
 from tests.blind.scenarios import SCENARIOS
@@ -48,7 +51,8 @@ TIMEOUT = 3600.0
 
 
 def diagnosed(case: Path) -> dict[str, Any] | None:
-    """The report on the laboratory in `case/lab`: kept from before where the laboratory is the same, else made; None where it broke off."""
+    """The report on the laboratory in `case/lab`: kept where that and the program are those of before, else made; None where it broke off.
+    """
     lab, out, stamp = case / "lab", case / "report", case / "diagnosed"
     same = stamp.exists() and stamp.read_text() == _contents(lab)
     report = out / "report.json"
@@ -62,6 +66,12 @@ def diagnosed(case: Path) -> dict[str, Any] | None:
     return json.loads(report.read_text())
 
 
+def _timed(case: Path) -> tuple[dict[str, Any] | None, float]:
+    began = time.perf_counter()
+    report = diagnosed(case)
+    return report, time.perf_counter() - began
+
+
 def _ended(command: Sequence[str], log: Any) -> bool:
     try:
         return subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, timeout=TIMEOUT).returncode in (0, 1)
@@ -71,29 +81,38 @@ def _ended(command: Sequence[str], log: Any) -> bool:
 
 def _contents(folder: Path) -> str:
     files = sorted(path for path in folder.iterdir() if path.is_file())
-    return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in files)).hexdigest()
+    return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in files) + program().encode()).hexdigest()
 
 
-def outcomes(names: Iterable[str], seeds: int, noise: float, folder: Path, *, thin: bool) -> tuple[list[score.Outcome], list[str]]:
-    """Every diagnosis that ended, scored, and the names of those that did not."""
+def outcomes(
+    names: Iterable[str], seeds: int, noise: float, folder: Path, *, thin: bool, workers: int = 1
+) -> tuple[list[score.Outcome], list[str]]:
+    """Every diagnosis that ended, scored, and the names of those that did not; so many diagnosed at a time."""
     truths = Truths(folder / "mechanics", thin, tell=_say)
     found, broken = [], []
-    for name in in_order(names):
-        for seed in range(1, seeds + 1):
-            case = folder / f"{name}-{noise:g}-{seed}"
-            truth = folder / "truths" / f"{case.name}.yaml"
-            folders.write(SCENARIOS[name], truths, case / "lab", truth, noise=noise, seed=seed)
-            began, report = time.perf_counter(), diagnosed(case)
+    with ThreadPoolExecutor(workers) as pool:
+        begun = []
+        for name in in_order(names):
+            for seed in range(1, seeds + 1):
+                case = folder / f"{name}-{noise:g}-{seed}"
+                folders.write(SCENARIOS[name], truths, case / "lab", _truth(case), noise=noise, seed=seed)
+                begun.append((case, pool.submit(_timed, case)))
+        for case, running in begun:
+            report, seconds = running.result()
             if report is None:
                 broken.append(case.name)
                 _say(f"{case.name}: broke off, see {case / 'log.txt'}")
                 continue
-            found.append(score.judge(report, yaml.safe_load(truth.read_text())))
-            _say(_told(found[-1], time.perf_counter() - began))
+            found.append(score.judge(report, yaml.safe_load(_truth(case).read_text())))
+            _say(_described(found[-1], seconds))
     return found, broken
 
 
-def _told(one: score.Outcome, seconds: float) -> str:
+def _truth(case: Path) -> Path:
+    return case.parent / "truths" / f"{case.name}.yaml"
+
+
+def _described(one: score.Outcome, seconds: float) -> str:
     named = f": {', '.join(one.named)}" if one.named else ""
     return f"{one.case} (lambda {one.excess:.3g}): {one.verdict}{named} ({seconds:.0f} s)"
 
@@ -155,6 +174,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--scenarios", default="", metavar="a,b", help=f"of: {', '.join(SCENARIOS)}")
     parser.add_argument("--noise", type=float, default=0.02, help="share of the largest reading")
     parser.add_argument("--out", type=Path, default=Path("build/blind"), metavar="FOLDER", help="laboratories, truths and reports")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="laboratories that are diagnosed at a time")
     parser.add_argument("--mesh", action="store_true", help="only ask how much the truths change on coarser bricks")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     parser.add_argument("--write", action="store_true", help=f"renew {PAGE.parent.name}/{PAGE.name} as well")
@@ -168,7 +188,7 @@ def main(arguments: list[str] | None = None) -> None:
     if said.mesh:
         measured = list(mesh_figures(folder, thin=thin))
     else:
-        found, broken = outcomes(names, said.seeds, said.noise, folder, thin=thin)
+        found, broken = outcomes(names, said.seeds, said.noise, folder, thin=thin, workers=said.workers)
         measured = figures(found, broken)
     print(table(measured))
     if said.write and found:

@@ -28,7 +28,7 @@ import yaml
 
 from benchmarks import _afferents, _fingerpad, _table1
 from benchmarks._measured_page import page
-from benchmarks._parts import run_parts
+from benchmarks._parts import program, run_parts
 from benchmarks._record import Figure
 from fingerjax.commands._parts import Parts
 from fingerjax.commands.run import prepare
@@ -169,9 +169,7 @@ def _teller(name: str) -> Callable[[float, str], None]:
 
 def _parts(name: str, study: Study, quick: bool) -> Parts:
     """Finished searches of a study: they belong to this program, this study and these data."""
-    hashed = hashlib.sha256(studies()[name].read_bytes())
-    for file in sorted((ROOT / "fingerjax").rglob("*.py")):
-        hashed.update(file.read_bytes())
+    hashed = hashlib.sha256(studies()[name].read_bytes() + program().encode())
     for one in study.measurements:
         hashed.update(repr([(column, values.tolist()) for column, values in one.table.items()]).encode())
     folder = KEPT / ("quick" if quick else "full") / f"{name}-{hashed.hexdigest()[:16]}"

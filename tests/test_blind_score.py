@@ -197,7 +197,7 @@ def test_figures_say_goals_and_leave_out_what_was_not_seen():
     assert "95 % interval" in printed(list(figures.values()))
 
 
-def test_finished_diagnoses_are_kept_and_changed_laboratories_are_diagnosed_again(tmp_path, monkeypatch):
+def test_finished_diagnoses_are_kept_and_other_laboratories_or_programs_are_diagnosed_again(tmp_path, monkeypatch):
     lab, runs = tmp_path / "lab", []
     lab.mkdir()
     (lab / "experiments.yaml").write_text("version: 1")
@@ -213,6 +213,8 @@ def test_finished_diagnoses_are_kept_and_changed_laboratories_are_diagnosed_agai
     (lab / "experiments.yaml").write_text("version: 1 ")
     assert blind.diagnosed(tmp_path) == {"run": 2}
     assert runs[0][1:4] == ["-m", "fingerjax", "diagnose"]
+    monkeypatch.setattr(blind, "program", lambda: "another program")
+    assert blind.diagnosed(tmp_path) == blind.diagnosed(tmp_path) == {"run": 3}
     monkeypatch.setattr(blind, "_ended", lambda command, log: False)
     (lab / "experiments.yaml").write_text("version: 2")
     assert blind.diagnosed(tmp_path) is None
