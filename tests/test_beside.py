@@ -13,7 +13,7 @@ from fingerjax.effects.records import Push
 from fingerjax.fem.tissue import Linear
 from fingerjax.forward import Assembled, assemble, rigs
 from fingerjax.forward.strained import strained_readings
-from fingerjax.runners import subject as subject_of_a_finger
+from fingerjax.runners import beyond
 from fingerjax.runners.subject import FingerSubject
 
 from .helpers import Grade
@@ -35,7 +35,7 @@ def coarse_wedge() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rigs, "LINE_SPACING", 2.0)
         patch.setattr(rigs, "RECEPTOR_SPACING", 4.0)
-        patch.setattr(subject_of_a_finger, "SEARCHED", Chording(tolerance=1e-10))
+        patch.setattr(beyond, "SEARCHED", Chording(tolerance=1e-10))
         yield
 
 
@@ -102,6 +102,6 @@ def test_an_effect_on_what_skin_is_in_the_way_is_refused_under_a_law(ready: Asse
 
     monkeypatch.setattr(type(offset), "push", push)
     subject = subject_with(ready, "contact_offset.offset", *LAW)
-    law = subject._variants.together(subject._amounts(LAW)).law(Linear())
+    law = subject.elastic.variants.together(subject.elastic.amounts(LAW)).law(Linear())
     with pytest.raises(ValueError, match="in the way"):
         strained_readings(subject.base.model, at(), law)

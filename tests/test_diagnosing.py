@@ -127,7 +127,7 @@ def test_what_a_law_adds_is_checked_on_the_finer_mesh(tmp_path: Path, monkeypatc
     def added(raw, amounts, *, finely=False):  # type: ignore[no-untyped-def]
         return None if finely not in answers else (np.full(len(subject.rows), answers[finely]), None, None)
 
-    monkeypatch.setattr(subject, "_beyond", added)
+    monkeypatch.setattr(subject._beyond, "added", added)
     linear = subject.finer(raw, {})
     assert linear is not None
     np.testing.assert_allclose(subject.finer(raw, law), linear + 2.0)
@@ -146,7 +146,7 @@ def test_what_a_law_adds_at_either_of_two_steps_is_found_once(tmp_path: Path, mo
         return np.full(len(subject.rows), followed[-1]), nothing, subject.base
 
     nothing = Strained(subject.base.model.predict(subject.named(np.array([one.raw() for one in subject.parameters]))), ())
-    monkeypatch.setattr(subject, "_followed", follow)
+    monkeypatch.setattr(subject._beyond, "_followed", follow)
     raw = np.array([one.raw() for one in subject.parameters])
     there = {size: subject.glance(raw, {"strain_stiffening.skin": size, "strain_stiffening.deep": 0.0}) for size in (5.0, 6.0, 5.0)}
     assert followed == [5.0, 6.0]

@@ -112,13 +112,13 @@ def test_a_body_that_no_effect_changes_is_the_same_one(ready: Assembled, effect:
 
 def test_slopes_of_compiled_effects_are_those_of_differences(subject: FingerSubject) -> None:
     raw, chosen_ways = start(subject), {}
-    for key, way in subject._ways.items():
-        if subject._is_compiled(key) and way.step is None and "second" not in way.name:
+    for key, way in subject.elastic.ways.items():
+        if subject.elastic.is_compiled(key) and way.step is None and "second" not in way.name:
             chosen_ways.setdefault((way.family, way.name), key)
     keys = tuple(chosen_ways.values())
-    scale = np.array([subject._ways[key].scale for key in keys])
+    scale = np.array([subject.elastic.ways[key].scale for key in keys])
     away = np.array([0.0 if key == "adhesion.work" else 0.1 for key in keys])
-    at = np.array([subject._ways[key].null for key in keys]) + away * scale
+    at = np.array([subject.elastic.ways[key].null for key in keys]) + away * scale
     found = subject.evaluate(raw, dict(zip(keys, at, strict=True)), keys)
     assert found.usable and len(keys) >= 18
     for seed in range(3):

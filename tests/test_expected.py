@@ -15,8 +15,7 @@ from fingerjax.fem.tissue import Exponential, FiniteStrain
 from fingerjax.forward import Assembled
 from fingerjax.forward.strained import FARTHEST, Strained, strained_readings
 from fingerjax.forward.strained_slopes import strained_jacobian, strained_slopes
-from fingerjax.runners import subject as subject_of_a_finger
-from fingerjax.runners import variants
+from fingerjax.runners import elastic, variants
 from fingerjax.runners.subject import FingerSubject
 
 from .test_bodies import cylinder
@@ -101,9 +100,9 @@ def test_laws_are_followed_on_the_models_own_mesh_where_a_coarser_one_reads_othe
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, like: float, own: bool
 ) -> None:
     monkeypatch.setattr(variants, "ROUGH", 1.6)
-    monkeypatch.setattr(subject_of_a_finger, "LIKE", like)
+    monkeypatch.setattr(elastic, "LIKE", like)
     subject = FingerSubject(cylinder(tmp_path, "held", "held", pad=5.0), chosen(("finite_strain",), catalogue()))
-    assert (subject._variants.rough({}) is subject.base) is own
+    assert (subject.elastic.variants.rough({}) is subject.base) is own
 
 
 def test_laws_are_followed_on_the_models_own_mesh_where_a_coarser_one_cannot_be_laid_out(
