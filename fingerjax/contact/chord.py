@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._results import RESULTS
+from ..fem.body import Body
 from ..fem.carried import admissible
 from ..fem.cholesky import Indefinite
 from ..fem.columns import Columns
@@ -37,6 +38,7 @@ SLACK = 1e-9  # share of the energy below which a rise is rounding
 SHORTEST = 2.0**-6  # share of a step below which it is given up
 WORSE = 1.5  # growth of the step's norm at which a mixture is not believed
 BEYOND = 1e100  # N: forces from which on sums of their squares are no longer numbers
+ROOM = 2_000_000_000  # bytes of factorisations that are kept between searches
 ALIKE = 1e-12  # combinations of steps whose product is less than this share of the largest are none
 
 
@@ -77,6 +79,28 @@ class Chord:
     def __call__(self, load: np.ndarray) -> np.ndarray:
         """Displacement (3n,), mm, under nodal forces (3n,), N."""
         return np.asarray(self.condensed.answer(jnp.asarray(load).reshape(1, -1, 3))).ravel()
+
+
+class Chords:
+    """Chords of cases, (rig, case), kept from one search to the next: as many as there is `room` for, in bytes. The first come stay."""
+
+    def __init__(self, room: int = ROOM):
+        self.room = room
+        self._kept: dict[tuple[int, int], tuple[Body, Columns, Chord]] = {}
+
+    def find(self, case: tuple[int, int], body: Body, place: Place) -> Chord | None:
+        """The one of a case, if it was made for a body that may move in the same ways and is pressed at the same nodes."""
+        if case not in self._kept:
+            return None
+        other, columns, chord = self._kept[case]
+        now, then = ((one.free, one.modes, pressed.node, pressed.weight) for one, pressed in ((body, place.columns), (other, columns)))
+        return chord if all(map(np.array_equal, now, then)) else None
+
+    def keep(self, case: tuple[int, int], body: Body, place: Place, chord: Chord) -> None:
+        self._kept.pop(case, None)
+        held = sum(one.condensed.memory for *_, one in self._kept.values())
+        if 0 < chord.condensed.memory <= self.room - held:
+            self._kept[case] = body, place.columns, chord
 
 
 def tangent_chord(tissue: Tissue, place: Place, u: np.ndarray) -> Chord | None:
@@ -145,8 +169,11 @@ class Search:
         self.tissue, self.place, self.chord, self.imposed, self.chording = tissue, place, chord, imposed, chording
 
     def run(self, u: np.ndarray, active: Array, patient: bool = False) -> Searched:
-        """From a displacement (3n,), mm, and the active set of a neighbour; a `patient` search goes on where a tangent would be quicker."""
-        at, chording = self._look(u, active), self.chording
+        """From a displacement (3n,), mm, and the active set of a neighbour; a `patient` search goes on where a tangent would be quicker.
+
+        What the body cannot do of the displacement, as one that comes from other supports or another bone may ask, is left out.
+        """
+        at, chording = self._look(np.asarray(_admissible(self.tissue, jnp.asarray(u)[None])).ravel(), active), self.chording
         if at is None:
             return Searched(None, 1, RESULTS.no_equilibrium, False)
         past, errors = [at], [at.rest.error]

@@ -42,3 +42,8 @@ class AbstractCholesky(abc.ABC):
     @abc.abstractmethod
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The unknowns (n, m) under loads (n, m), with the last matrix that was factorised."""
+
+    @property
+    @abc.abstractmethod
+    def memory(self) -> int:
+        """Bytes that the last factorisation holds."""

@@ -45,6 +45,11 @@ class AbstractCondensed(abc.ABC):
         """The body that this one is so many times as stiff as: itself, once."""
         return self, 1.0
 
+    @property
+    def memory(self) -> int:
+        """Bytes that it holds for itself."""
+        return 0
+
     @abc.abstractmethod
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:
         """The displacement, mm, under each set of column forces, N."""
@@ -66,6 +71,10 @@ class ByColumns(AbstractCondensed):
 
     def __init__(self, held: Held, influence: Fields, undo: Callable[[Fields], Fields]):
         self.held, self.influence, self._undo = held, influence, undo
+
+    @property
+    def memory(self) -> int:
+        return self.influence.nbytes
 
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:
         return _combined(forces, self.influence)
@@ -93,10 +102,21 @@ class ByFactor(AbstractCondensed):
 
     - `solve`: (free unknowns, k) loads -> displacements (k, n, 3) with the bone held.
     - `matrix`: the columns, (3n, m) sparse; `free`: which of the 3n unknowns are free.
+    - `memory`: bytes of the factorisation, where that is its own.
     """
 
-    def __init__(self, held: Held, solve: Callable[[np.ndarray], np.ndarray], matrix: sp.csc_matrix, free: np.ndarray, bone: Carriage):
-        self.held, self.bone = held, bone
+    memory = 0
+
+    def __init__(
+        self,
+        held: Held,
+        solve: Callable[[np.ndarray], np.ndarray],
+        matrix: sp.csc_matrix,
+        free: np.ndarray,
+        bone: Carriage,
+        memory: int = 0,
+    ):
+        self.held, self.bone, self.memory = held, bone, memory
         self._solve, self._matrix, self._free = solve, matrix, free
 
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:

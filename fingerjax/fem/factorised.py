@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass
 
 import jax
@@ -14,7 +15,7 @@ from jaxtyping import Array
 from .assembly import Assembled
 from .body import Body
 from .carried import Carriage, bone_loads, carriage
-from .cholesky import AbstractCholesky
+from .cholesky import AbstractCholesky, Indefinite
 from .columns import Columns
 from .condensed import AbstractCondensed, ByFactor, Held, Stiffer, first_like, probe
 from .frontal import Frontal
@@ -24,6 +25,7 @@ from .stiffness import AbstractStiffness, Elastic
 CONVERGED = 1e-8  # relative residual up to which a factorisation went well
 PARTIAL_FROM = 64  # columns from which on the skin is condensed in the factorisation itself
 REMEMBERED = 6  # condensed bodies of one pattern: subjects, say
+SPARES = 3  # factorisations that nothing asks for, whose analysis may serve again
 PROBES = 8  # random combinations of all loads in which a factorisation's residual is measured
 
 
@@ -37,6 +39,14 @@ class _Answered:
     matrix: sp.csc_matrix
     riding: Carriage
     bone_held: np.ndarray
+
+
+class _Apart:
+    """A strained body's stiffness with a factorisation of its own, which lives as long as what was condensed with it."""
+
+    def __init__(self, stiffness: AbstractStiffness, K: sp.csr_matrix, factor: AbstractCholesky):
+        self.stiffness, self.K, self.factor = stiffness, K, factor
+        self.schur = factor.factor(K.data)
 
 
 class Host:
@@ -55,6 +65,8 @@ class Host:
         self._stiffness: AbstractStiffness | None = None
         self._K = sp.csr_matrix((0, 0))
         self._last: list[_Answered] = []
+        self._apart: _Apart | None = None
+        self._spare: list[tuple[bytes, AbstractCholesky]] = []
 
     def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         """The body behind its columns; the last few linear ones are kept, for fits that move something else or all constants in proportion.
@@ -100,13 +112,27 @@ class Host:
         surface = np.asarray((flat != 0).sum(axis=0)).ravel() == np.asarray((flat[kept] != 0).sum(axis=0)).ravel()
         if columns.count < PARTIAL_FROM or not kept.any():
             kept, surface = np.zeros(len(kept), bool), np.zeros(columns.count, bool)
-        schur = self._at(stiffness, kept)
+        apart = None if isinstance(stiffness, Elastic) else self._factorised_apart(stiffness, kept)
+        schur = self._at(stiffness, kept) if apart is None else apart.schur
         bone = np.asarray(bone_loads(stiffness)).reshape(modes, 3 * self.nodes)[:, self.assembled.free].T
         others = flat[:, ~surface].toarray()
         found, residual = self.direct(stiffness, np.hstack([others, bone]))
         riding = carriage(stiffness, jnp.asarray(found[others.shape[1] :]))
         C = self._read(flat, surface, found[: others.shape[1]], schur, kept)
-        return self._answered(stiffness, columns, riding, C, residual)
+        return self._answered(stiffness, columns, riding, C, residual, apart)
+
+    def _factorised_apart(self, stiffness: AbstractStiffness, kept: np.ndarray) -> _Apart:
+        """A factorisation beside that of the linear body, of those that nothing asks for any more where there is one."""
+        K, pattern = stiffness.matrix(self.assembled), kept.tobytes()
+        fits = [number for number, (other, _) in enumerate(self._spare) if other == pattern]
+        factor = self._spare.pop(fits[-1])[1] if fits else self._how(K.indptr, K.indices, kept if kept.any() else None)
+        try:
+            self._apart = _Apart(stiffness, K, factor)
+        except Indefinite:
+            _spare(self._spare, pattern, factor)
+            raise
+        weakref.finalize(self._apart, _spare, self._spare, pattern, factor)
+        return self._apart
 
     def _read(
         self, flat: sp.csr_matrix, surface: np.ndarray, others: np.ndarray, schur: np.ndarray | None, kept: np.ndarray
@@ -122,7 +148,13 @@ class Host:
         return C
 
     def _answered(
-        self, stiffness: AbstractStiffness, columns: Columns, riding: Carriage, bone_held: np.ndarray, residual: float
+        self,
+        stiffness: AbstractStiffness,
+        columns: Columns,
+        riding: Carriage,
+        bone_held: np.ndarray,
+        residual: float,
+        apart: _Apart | None = None,
     ) -> _Answered:
         """The carried bone let go, and how well it all went."""
         matrix = columns.matrix()
@@ -134,9 +166,10 @@ class Host:
             return Held(jnp.asarray((C + C.T) / 2), jnp.asarray(stiffness.lame), *ended)
 
         def solve(right: np.ndarray) -> np.ndarray:
-            return self._backed(stiffness, right)[0]
+            return self._backed(stiffness, right, apart)[0]
 
-        condensed = ByFactor(held(residual), solve, matrix, self.assembled.free, riding)
+        memory = 0 if apart is None else apart.factor.memory
+        condensed = ByFactor(held(residual), solve, matrix, self.assembled.free, riding, memory)
         condensed.held = held(max(residual, probe(columns, condensed)))
         return _Answered(columns.weight, stiffness, condensed, matrix, riding, bone_held)
 
@@ -150,14 +183,17 @@ class Host:
 
     def direct(self, stiffness: AbstractStiffness, right: np.ndarray) -> tuple[np.ndarray, float]:
         """Displacements (m, n, 3) under loads (free, m) between free unknowns, and the residual of them all."""
-        full, x = self._backed(stiffness, right)
-        return full, _probed(self._K, x, right) if right.shape[1] else 0.0
+        apart = self._apart if self._apart is not None and self._apart.stiffness is stiffness else None
+        full, x = self._backed(stiffness, right, apart)
+        return full, _probed(self._K if apart is None else apart.K, x, right) if right.shape[1] else 0.0
 
-    def _backed(self, stiffness: AbstractStiffness, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _backed(self, stiffness: AbstractStiffness, right: np.ndarray, apart: _Apart | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The same displacements, and those of the free unknowns (free, m), by a factorisation that has been probed before."""
-        self._at(stiffness)
-        assert self._factor is not None
-        x = self._factor.solve(right) if right.shape[1] else right
+        if apart is None:
+            self._at(stiffness)
+        factor = self._factor if apart is None else apart.factor
+        assert factor is not None
+        x = factor.solve(right) if right.shape[1] else right
         full = np.zeros((right.shape[1], 3 * self.nodes))
         full[:, self.assembled.free] = x.T
         return full.reshape(-1, self.nodes, 3), x
@@ -177,6 +213,12 @@ class Host:
         schur = self._factor.factor(self._K.data)
         self._stiffness = stiffness
         return schur
+
+
+def _spare(spares: list[tuple[bytes, AbstractCholesky]], pattern: bytes, factor: AbstractCholesky) -> None:
+    """What was analysed serves again; of many the oldest go."""
+    spares.append((pattern, factor))
+    del spares[:-SPARES]
 
 
 def _same(one: AbstractStiffness | None, other: AbstractStiffness) -> bool:

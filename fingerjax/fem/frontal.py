@@ -139,6 +139,10 @@ class Frontal(AbstractCholesky):
         answer[self._order] = y
         return answer
 
+    @property
+    def memory(self) -> int:
+        return self._root.nbytes + sum(front.lower.nbytes + front.below.nbytes for front in self._fronts)
+
 
 def _eliminate(front: _Front, remainder: np.ndarray) -> None:
     """Factorise a front in place; of the remainder only the lower triangle is meant."""

@@ -62,6 +62,10 @@ class Pardiso(AbstractCholesky):
             self._call(SOLVE, right, answer)
         return answer
 
+    @property
+    def memory(self) -> int:
+        return 1024 * int(self._options[16])
+
     def _call(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
         columns = right.shape[1] if right.ndim == 2 else 1
         error = _INT(0)

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from jaxtyping import Array, Float
 
 from .._results import RESULTS
-from ..contact.chord import Chord, Chording, Imposed, Place, Resting, Search, tangent_chord
+from ..contact.chord import Chord, Chording, Chords, Imposed, Place, Resting, Search, tangent_chord
 from ..contact.indentation import Contact
 from ..contact.strained import Indenting
 from ..effects.added import Added
@@ -95,15 +95,17 @@ def strained_readings(
     *,
     start: Strained | None = None,
     chording: Chording | None = None,
+    chords: Chords | None = None,
     quantity: str = "strain_energy_density",
 ) -> Strained:
     """Every reading at these values of a study whose tissue follows a law; outside of compiled code.
 
     The first case without an equilibrium ends it: what comes after would be looked for long, and is of no use alone.
 
-    **Arguments:** `start`, what was found at neighbouring values or of a neighbouring law. `quantity`: what the receptor is taken to feel.
+    **Arguments:** `start`, what was found at neighbouring values or of a neighbouring law. `chords`: tangents of its cases, which are
+    renewed. `quantity`: what the receptor is taken to feel.
     """
-    chording = Chording() if chording is None else chording
+    chording, chords = Chording() if chording is None else chording, Chords() if chords is None else chords
     rigs = model.instruments.rigs
     cases: list[list[Ended]] = [[UNTRIED] * len(rig.pose) for rig in rigs]
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
@@ -118,7 +120,8 @@ def strained_readings(
                 twins = [None if like == variant else twin(rig, case, like) for case in path]
                 warm = [known[i] if other is None else _rest(cases[number][other]) for i, other in enumerate(twins)]
                 loads = [imposed_on(model, values, rig, case) for case in path]
-                followed = _followed(tissue, place, partial(Chord.of, condensed, own), loads, warm, chording)
+                known_by = _Known(chords, [(number, case) for case in path], partial(Chord.of, condensed, own))
+                followed = _followed(tissue, place, known_by, loads, warm, chording)
                 for case, ended in zip(path, followed, strict=False):
                     cases[number][case] = ended
                     if ended.rest is None:
@@ -187,20 +190,29 @@ def _once(make: Callable[[], AbstractCondensed]) -> Callable[[], AbstractCondens
     return lru_cache(maxsize=1)(make)
 
 
+class _Known(NamedTuple):
+    """The chords that a path knows of: kept tangents of its `cases`, and the `linear` body's."""
+
+    chords: Chords
+    cases: list[tuple[int, int]]
+    linear: Callable[[], Chord | None]
+
+
 def _followed(
-    tissue: Tissue, place: Place, linear: Callable[[], Chord | None], loads: list[Imposed], warm: list[Ended | None], chording: Chording
+    tissue: Tissue, place: Place, known: _Known, loads: list[Imposed], warm: list[Ended | None], chording: Chording
 ) -> Iterator[Ended]:
     """The equilibria of one load path, each from the one before or from its own warm start."""
     last: Resting | None = None
     chord: Chord | None = None
-    renewed = 0
-    for imposed, own in zip(loads, warm, strict=True):
-        begin = last
+    for case, imposed, own in zip(known.cases, loads, warm, strict=True):
+        begin, spent = last, 0
         if own is not None and own.rest is not None:
             begin = own.rest
-            if own.tangent:
-                chord, renewed = tangent_chord(tissue, place, begin.displacement), 1
-        chord = linear() if chord is None else chord
+            kept = known.chords.find(case, tissue.body, place)
+            if kept is None and own.tangent:
+                kept, spent = tangent_chord(tissue, place, begin.displacement), 1
+            chord = chord if kept is None else kept
+        chord = known.linear() if chord is None else chord
         if chord is None:
             yield UNTRIED
             continue
@@ -210,8 +222,10 @@ def _followed(
             from_ = begin.displacement, begin.contact.active
         ended, chord = _found(tissue, place, chord, imposed, from_, last, chording)
         last = last if ended.rest is None else ended.rest
-        spent, renewed = ended.factorisations + renewed, 0
-        yield ended._replace(factorisations=spent, tangent=spent > 0)
+        spent += ended.factorisations
+        if spent:
+            known.chords.keep(case, tissue.body, place, chord)
+        yield ended._replace(factorisations=spent, tangent=spent > 0 or (own is not None and own.tangent))
 
 
 def _found(

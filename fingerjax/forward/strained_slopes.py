@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..contact.chord import Resting
+from ..contact.chord import Chord, Chords, Place, Resting
 from ..effects.added import Added
 from ..fem.body import Body
 from ..fem.cholesky import Indefinite
@@ -28,6 +28,7 @@ from ..fem.condensed import AbstractCondensed, first_like
 from ..fem.energy import internal_force
 from ..fem.equilibrium import Tissue
 from ..fem.operator import Lame
+from ..fem.solver import Factorised
 from ..fem.stiffness import tangent
 from ..fem.tissue import AbstractTissue, Linear
 from .inner import Beside, towards
@@ -112,11 +113,11 @@ def strained_jacobian(model: Model, of: Of, at: Vector, found: Strained) -> Floa
 
 
 def strained_slopes(
-    model: Model, of: Of, at: Vector, found: Strained, bodies: Sequence[Beside] = ()
+    model: Model, of: Of, at: Vector, found: Strained, bodies: Sequence[Beside] = (), chords: Chords | None = None
 ) -> tuple[Float[Array, "rows d_b"], Strained]:
     """The same, and `found` with the slopes of its displacements, from where the equilibria of neighbouring parameters can be expected.
 
-    Slopes towards other `bodies` come after those in the parameters.
+    Slopes towards other `bodies` come after those in the parameters. `chords` are handed the tangents.
     """
     values, law = of(at)
     count = len(at) + len(bodies)
@@ -130,8 +131,8 @@ def strained_slopes(
         for first, twins in _of_one_shape(rig, tissues, rigid=not np.any(series)).items():
             rests = {case: rest for case, _ in twins if (rest := found.cases[number][case].rest) is not None}
             if first in rests:
-                shape = Shape(model, tissues, rig, first, dict(twins), rests, float(series[first]))
-                for case, own in _shape_slopes(shape, ways, bodies, len(at)):
+                shape = Shape(model, tissues, rig, (number, first), dict(twins), rests, float(series[first]))
+                for case, own in _shape_slopes(shape, ways, bodies, len(at), chords or Chords()):
                     slopes[number][case], moved[number][case] = own
     contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
     rows = _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
@@ -153,29 +154,29 @@ def _of_one_shape(rig: Rig, tissues: Sequence[Tissue], rigid: bool) -> dict[int,
 
 
 class Shape(NamedTuple):
-    """Cases of one shape: the `first`, how many `times` as stiff the tissue of each is, and how each rests, under an apparatus that gives
-    way by `series`, mm/N.
+    """Cases of one shape, `of` a rig's number and the first of them: how many `times` as stiff the tissue of each is, and how each rests,
+    under an apparatus that gives way by `series`, mm/N.
     """
 
     model: Model
     tissues: Sequence[Tissue]
     rig: Rig
-    first: int
+    of: tuple[int, int]
     times: dict[int, float]
     rests: dict[int, Resting]
     series: float
 
 
 def _shape_slopes(
-    shape: Shape, ways: Sequence[Ways], bodies: Sequence[Beside], d: int
+    shape: Shape, ways: Sequence[Ways], bodies: Sequence[Beside], d: int, chords: Chords
 ) -> Iterator[tuple[int, tuple[Float[np.ndarray, "d_b m_2"], Float[np.ndarray, "d_b _"]]]]:
     """Of cases of one shape: change of every column's reading, then of the force and of the travel, with each parameter and towards each
     body; and of the displacement (d + b, 3n). Nothing where the shape's tangent has no answer.
 
     What touches goes on touching: the tangent answers a unit of each pressure there, and every change of the internal force.
     """
-    model, rig, rests, times = shape.model, shape.rig, shape.rests, shape.times
-    place, _ = place_of(model, rig, int(rig.pose[shape.first]))
+    model, rig, rests, times, first = shape.model, shape.rig, shape.rests, shape.times, shape.of[1]
+    place, _ = place_of(model, rig, int(rig.pose[first]))
     active = {case: np.asarray(rest.contact.active) for case, rest in rests.items()}
     touching = np.flatnonzero(np.any(list(active.values()), axis=0))
     hats, area = place.matrix @ np.asarray(place.interface.load)[:, touching], np.asarray(place.interface.area)[touching]
@@ -184,9 +185,13 @@ def _shape_slopes(
     count, matrix = d + len(bodies), model.columns.matrix()
     pushing = {case: np.append(felt[case], np.arange(d, count)) for case in rests}
     pushes = [_pushes(own[case], ways[case].material, felt[case], bodies, rest.displacement) for case, rest in rests.items()]
-    found = _undone(own[shape.first], rests[shape.first].displacement, np.concatenate([hats.T, *(-push for push in pushes)]))
-    if found is None:
+    tissue, loads = own[first], np.concatenate([hats.T, *(-push for push in pushes)])
+    undone = _undone(tissue, place, rests[first].displacement, loads)
+    if undone is None:
         return
+    found, chord = undone
+    if chord is not None:
+        chords.keep(shape.of, tissue.body, place, chord)
     pressed, *freely = np.split(found, np.cumsum([len(touching), *(len(each) for each in pushing.values())])[:-1])
     for case, free in zip(rests, freely, strict=True):
         here = active[case][touching]
@@ -205,15 +210,21 @@ def _shape_slopes(
         yield case, (slopes, moved)
 
 
-def _undone(tissue: Tissue, u: np.ndarray, loads: np.ndarray) -> np.ndarray | None:
-    """What the tangent at a displacement (3n,), mm, answers to loads (k, 3n), N; None where it does not."""
+def _undone(tissue: Tissue, place: Place, u: np.ndarray, loads: np.ndarray) -> tuple[np.ndarray, Chord | None] | None:
+    """What the tangent at a displacement (3n,), mm, answers to loads (k, 3n), N; and the tangent as a chord, where it is factorised.
+
+    None where it does not answer.
+    """
     there = tangent(tissue.body, tissue.law, tissue.lame, jnp.asarray(u).reshape(-1, 3))
-    filled = np.pad(loads, ((0, -len(loads) % ALIKE), (0, 0)))
+    filled, chord = np.pad(loads, ((0, -len(loads) % ALIKE), (0, 0))), None
     try:
+        if isinstance(tissue.solver, Factorised):
+            condensed = tissue.solver.reduce(there, place.columns)
+            chord = Chord.of(lambda: condensed, np.arange(place.columns.count))
         answer = tissue.solver.undo(there, jnp.asarray(filled).reshape(len(filled), -1, 3))
     except Indefinite:
         return None
-    return np.asarray(answer.displacement).reshape(filled.shape)[: len(loads)] if bool(answer.converged.all()) else None
+    return (np.asarray(answer.displacement).reshape(filled.shape)[: len(loads)], chord) if bool(answer.converged.all()) else None
 
 
 def _held(

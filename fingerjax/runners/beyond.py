@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..contact.chord import Chording
+from ..contact.chord import Chording, Chords
 from ..fem.tissue import Linear
 from ..forward.inner import Beside, inner_slopes
 from ..forward.model import Assembled
@@ -29,6 +29,7 @@ class Beyond:
 
     def __init__(self, elastic: ElasticFinger, finer: Callable[[Amounts], Assembled | None]):
         self.elastic, self._finer = elastic, finer
+        self._chords = {False: Chords(), True: Chords(room=0)}
         self._last: dict[bool, tuple[Strained, dict[str, float]]] = {}
         self._added: dict[str, tuple[np.ndarray, Strained, Assembled] | None] = {}
 
@@ -54,7 +55,12 @@ class Beyond:
             return None
         try:
             found = strained_readings(
-                on.model, self.elastic.values(raw, amounts), law, start=self._start(raw, amounts, finely), chording=SEARCHED
+                on.model,
+                self.elastic.values(raw, amounts),
+                law,
+                start=self._start(raw, amounts, finely),
+                chording=SEARCHED,
+                chords=self._chords[finely],
             )
         except ValueError:
             return None
@@ -93,7 +99,7 @@ class Beyond:
             tuple(self.elastic.parameters), tuple(self.elastic.effects[name] for name in own), moved, self.elastic.values(raw, amounts), own
         )
         at = jnp.asarray([*raw, *(amounts[family][name] for family, name in moved)])
-        rows, sloped = strained_slopes(rough.model, of, at, found, tuple(bodies.values()))
+        rows, sloped = strained_slopes(rough.model, of, at, found, tuple(bodies.values()), self._chords[False])
         there = self._linear_slopes(rough, raw, amounts, linear, rest, bodies)
         if there is None:
             return self.elastic.failed(len(raw), len(moving))
