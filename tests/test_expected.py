@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fingerjax.contact.chord import Chording
+from fingerjax.contact.chord import Chording, Chords, tangent_chord
 from fingerjax.effects import catalogue, chosen
 from fingerjax.errors import InputError
+from fingerjax.fem.equilibrium import Tissue
 from fingerjax.fem.tissue import Exponential, FiniteStrain
 from fingerjax.forward import Assembled
-from fingerjax.forward.strained import FARTHEST, Strained, strained_readings
+from fingerjax.forward.strained import FARTHEST, Strained, place_of, strained_readings
 from fingerjax.forward.strained_slopes import strained_jacobian, strained_slopes
 from fingerjax.runners import elastic, variants
 from fingerjax.runners.subject import FingerSubject
@@ -66,6 +68,34 @@ def test_what_is_expected_is_not_far_and_nothing_moves_without_a_change(known: S
     assert known.after(np.zeros(3)) is known
     far, here = displacements(known.after(1e3 * CHANGE)), displacements(known)
     np.testing.assert_allclose(np.linalg.norm(far - here, axis=1), FARTHEST * np.linalg.norm(here, axis=1), rtol=1e-9)
+
+
+def test_kept_tangents_save_factorisations_and_change_nothing(ready: Assembled) -> None:
+    chords, none = Chords(), Chords(room=0)
+    far, change = jnp.array([0.07, 1.0, 30.0]), jnp.array([0.0, 0.0, 1.0])
+    first = strained_readings(ready.model, *of(far), chording=TIGHT, chords=chords)
+    strained_slopes(ready.model, of, far, first, chords=chords)
+    strained_slopes(ready.model, of, far, first, chords=none)
+    assert first.factorisations > 0
+    kept, anew = (strained_readings(ready.model, *of(far + change), start=first, chording=TIGHT, chords=one) for one in (chords, none))
+    assert kept.factorisations == 0 < anew.factorisations
+    np.testing.assert_allclose(kept.prediction.readings[0], anew.prediction.readings[0], rtol=1e-8)
+
+
+def test_a_tangent_serves_bodies_that_move_alike_only(ready: Assembled) -> None:
+    model, chords = ready.model, Chords()
+    tissue = Tissue(model.body, of(HERE)[1], model.instruments.materials(of(HERE)[0])[0].lame(), model.solver)
+    place, _ = place_of(model, model.instruments.rigs[0], 0)
+    chord = tangent_chord(tissue, place, np.zeros(model.body.nodes.size))
+    assert chord is not None and chord.condensed.memory > 0
+    chords.keep((0, 0), model.body, place, chord)
+    assert chords.find((0, 0), model.body, place) is chord and chords.find((0, 1), model.body, place) is None
+    freed = eqx.tree_at(lambda one: one.free, model.body, jnp.ones_like(model.body.free))
+    assert chords.find((0, 0), freed, place) is None
+    full = Chords(room=int(1.5 * chord.condensed.memory))
+    for case in ((0, 0), (0, 1)):
+        full.keep(case, model.body, place, chord)
+    assert full.find((0, 0), model.body, place) is chord and full.find((0, 1), model.body, place) is None
 
 
 def test_both_ways_of_asking_for_slopes_agree(ready: Assembled, known: Strained) -> None:
