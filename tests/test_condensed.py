@@ -16,6 +16,8 @@ from fingerjax.fem.frontal import Frontal
 from fingerjax.fem.pardiso import Pardiso, pardiso_available
 from fingerjax.fem.recovery import strain_columns
 from fingerjax.fem.solver import solver_for
+from fingerjax.fem.stiffness import tangent
+from fingerjax.fem.tissue import FiniteStrain
 
 from .fem_tools import cube_body
 
@@ -78,6 +80,20 @@ def test_an_older_condensation_still_answers_for_its_own_material(body):
     second = solver.condense(body, other, columns)
     assert probe(columns, first) < 1e-10 and probe(columns, second) < 1e-10
     np.testing.assert_allclose(second.held.matrix, solver_for(body, "factorised").condense(body, other, columns).held.matrix, rtol=1e-9)
+
+
+def test_a_strained_body_answers_with_a_factorisation_of_its_own_and_what_is_forgotten_is_made_again(body):
+    columns, solver = columns_of(body, 9), solver_for(body, "factorised")
+    linear = solver.condense(body, SKIN.lame(), columns)
+    strained = [solver.reduce(tangent(body, FiniteStrain(), SKIN.lame(), s * body.nodes), columns) for s in (0.01, 0.02)]
+    loads = jnp.asarray(np.random.default_rng(1).normal(size=(2, *body.nodes.shape))) * body.free[:, None]
+    before = [np.asarray(one.readings(loads)) for one in (linear, *strained)]
+    assert all(one.memory > 0 for one in strained) and linear.memory == 0
+    solver.forget()
+    assert solver.host._factor is None
+    for one, found in zip((linear, *strained), before, strict=True):
+        np.testing.assert_allclose(one.readings(loads), found, rtol=1e-9, atol=1e-12 * np.abs(found).max())
+    assert np.abs(before[1] - before[2]).max() > 1e-3 * np.abs(before[1]).max()
 
 
 def test_a_body_whose_constants_all_moved_in_proportion_is_not_factorised_again(body, monkeypatch):

@@ -25,7 +25,7 @@ from .stiffness import AbstractStiffness, Elastic
 CONVERGED = 1e-8  # relative residual up to which a factorisation went well
 PARTIAL_FROM = 64  # columns from which on the skin is condensed in the factorisation itself
 REMEMBERED = 6  # condensed bodies of one pattern: subjects, say
-SPARES = 3  # factorisations that nothing asks for, whose analysis may serve again
+SPARE = 300_000_000  # bytes of factorisations that nothing asks for, whose analysis may serve again
 PROBES = 8  # random combinations of all loads in which a factorisation's residual is measured
 
 
@@ -67,6 +67,12 @@ class Host:
         self._last: list[_Answered] = []
         self._apart: _Apart | None = None
         self._spare: list[tuple[bytes, AbstractCholesky]] = []
+
+    def forget(self) -> None:
+        """Let go of every factorisation that can be made again."""
+        self._factor = self._stiffness = self._apart = None
+        self._kept = np.zeros_like(self._kept)
+        self._spare.clear()
 
     def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         """The body behind its columns; the last few linear ones are kept, for fits that move something else or all constants in proportion.
@@ -218,7 +224,8 @@ class Host:
 def _spare(spares: list[tuple[bytes, AbstractCholesky]], pattern: bytes, factor: AbstractCholesky) -> None:
     """What was analysed serves again; of many the oldest go."""
     spares.append((pattern, factor))
-    del spares[:-SPARES]
+    while sum(one.memory for _, one in spares) > SPARE:
+        spares.pop(0)
 
 
 def _same(one: AbstractStiffness | None, other: AbstractStiffness) -> bool:

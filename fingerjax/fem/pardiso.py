@@ -64,7 +64,7 @@ class Pardiso(AbstractCholesky):
 
     @property
     def memory(self) -> int:
-        return 1024 * int(self._options[16])
+        return 1024 * int(self._options[15] + self._options[16])  # the analysis and the factors
 
     def _call(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
         columns = right.shape[1] if right.ndim == 2 else 1

@@ -49,6 +49,9 @@ class AbstractSolver(eqx.Module):
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         """Reduce the body to its columns; to be called outside of compiled code."""
 
+    def forget(self) -> None:
+        """Let go of memory for what can be computed again, as for a mesh that is asked rarely. Outside of compiled code."""
+
     def undo(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
         """Solve for every load; the tissue carries a rigid bone along where the body says so."""
         together = jnp.concatenate([loads, bone_loads(stiffness)])
@@ -210,6 +213,9 @@ class Factorised(AbstractSolver):
 
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         return self.host.condense(stiffness, columns)
+
+    def forget(self) -> None:
+        self.host.forget()
 
 
 # Nodes up to which a factorisation pays. From some 100,000 on multigrid answers a single load sooner (docs/peers.md has both), but a

@@ -92,21 +92,29 @@ class FingerSubject(AbstractSubject):
         """With what a law adds on the finer mesh too: beside a small sphere that is far from converged on the mesh of a search."""
         amounts = self.elastic.amounts(phi)
         on = self._on_the_finer(amounts)
-        fine = None if on is None else self.elastic.value(on, raw, self.elastic.lawless(amounts))
-        if fine is None or not self.elastic.is_strained(amounts):
-            return fine
-        more = self._beyond.added(raw, amounts, finely=True) or self._beyond.added(raw, amounts)
-        return None if more is None else fine + more[0]
+        if on is None:
+            return None
+        fine = self.elastic.value(on, raw, self.elastic.lawless(amounts))
+        if fine is not None and self.elastic.is_strained(amounts):
+            more = self._beyond.added(raw, amounts, finely=True) or self._beyond.added(raw, amounts)
+            fine = None if more is None else fine + more[0]
+        on.model.solver.forget()
+        return fine
 
     def softness(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Float[np.ndarray, " rows"] | None:
         """Of the tissue without any law: what that adds is no larger where elements are softer."""
         if self._fine is None or self._soft is None:
             return None
         amounts = self.elastic.amounts({key: value for key, value in phi.items() if not self.elastic.is_law(key)})
-        try:
-            fine, soft = (self.elastic.value(self.elastic.variants.on(each, amounts), raw, amounts) for each in (self._fine, self._soft))
-        except ValueError:  # an element turns over
-            return None
+        found = []
+        for each in (self._fine, self._soft):
+            try:
+                on = self.elastic.variants.on(each, amounts)
+            except ValueError:  # an element turns over
+                return None
+            found.append(self.elastic.value(on, raw, amounts))
+            on.model.solver.forget()
+        fine, soft = found
         return None if fine is None or soft is None else (soft - fine) / 2
 
     def refine(self, fine: Assembled, refinement: float) -> None:
