@@ -14,13 +14,13 @@ from jaxtyping import Array, Float
 from ..effects import Effect
 from ..effects.effect import Force
 from ..fem.cholesky import Indefinite
-from ..fem.tissue import Linear
 from ..forward.inner import Beside, first_order, inner_slopes, of_law
 from ..forward.model import Assembled
 from ..forward.readings import Prediction, Solved
 from ..loop.subject import Evaluation
 from ..parameters import Parameter
 from .families import family
+from .lawful import LawAlong
 from .rows import rows_of
 from .variants import Amounts, Variants
 
@@ -179,7 +179,8 @@ class ElasticFinger:
         way = self.ways[key]
         effect, numbers = self.effects[way.family], amounts.get(way.family, self.effects[way.family].null())
         if effect.is_law:
-            return of_law(model.model.body, lambda size: effect.law(Linear(), numbers | {way.name: size}), numbers[way.name])
+            law = LawAlong(effect, way.name, jax.tree.map(jnp.asarray, dict(numbers)))
+            return of_law(model.model.body, law, numbers[way.name])
         if effect.first_order or numbers[way.name] == way.null:
             own = effect.force(model.model.body, model.finger, model.solid)
             if own is not None:

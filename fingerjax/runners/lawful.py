@@ -1,4 +1,4 @@
-"""Raw parameters and numbers of effects as one vector, for slopes at strained states."""
+"""The tissue's law as a function of numbers of effects, alone or behind raw parameters, for slopes in them."""
 
 from __future__ import annotations
 
@@ -37,3 +37,16 @@ class Lawful(eqx.Module):
         for one in self.laws:
             law = one.law(law, said[one.name])
         return self.values | named, law
+
+
+class LawAlong(eqx.Module):
+    """The law of linear tissue with one effect as a function of one of its numbers, `moving`; the others are arrays in `amount`, so that
+    code is compiled once for all of them.
+    """
+
+    effect: Effect = eqx.field(static=True)
+    moving: str = eqx.field(static=True)
+    amount: dict[str, Array]
+
+    def __call__(self, size: Float[Array, ""]) -> AbstractTissue:
+        return self.effect.law(Linear(), self.amount | {self.moving: size})
