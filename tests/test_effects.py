@@ -199,6 +199,20 @@ def test_thicker_dermis_has_that_much_more_of_it() -> None:
     assert after[1] + after[2] == pytest.approx(before[1] + before[2], rel=1e-6)
 
 
+@pytest.mark.parametrize("name", ["epidermis_thickness", "dermis_thickness"])
+def test_where_layers_thicken_the_skin_stays(name: str) -> None:
+    """To the last bit, the middle of an edge too that was straightened and lies beneath the skin that its ends are on."""
+    thicker = next(effect for effect in catalogue() if effect.name == name)
+    solid = preset("monkey")
+    finger = build_finger(solid, Resolution(1.2))
+    nodes, skin = finger.nodes.copy(), np.unique(finger.skin)
+    middle = int(finger.skin[len(finger.skin) // 2, 3])
+    nodes[middle, :2] *= 0.98
+    finger = dataclasses.replace(finger, nodes=nodes, key="")
+    moved = thicker.shape(finger, solid, {"share": 0.2})
+    assert np.array_equal(moved.nodes[skin], nodes[skin]) and not np.array_equal(moved.nodes, nodes)
+
+
 @pytest.mark.slow
 def test_both_solvers_feel_the_same_springs(ready: Assembled) -> None:
     corneum = next(effect for effect in catalogue() if effect.name == "stratum_corneum")

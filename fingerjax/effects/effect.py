@@ -4,10 +4,10 @@ An effect acts on one or more of the records that the forward model hands on, ea
 
 | record | method | derivative in the effect's numbers |
 |---|---|---|
-| the meshed finger | `shape` | by differences |
-| an indenter, its poses and the receptor | `place` | by differences |
-| elements and supports | `support` | by differences |
-| tissue law | `law` | by differences |
+| the meshed finger | `shape` | exact where the skin stays and so do receptors' layers, by differences else |
+| an indenter, its poses and the receptor | `place` | of the receptor exact, by differences else |
+| elements and supports | `support` | exact |
+| tissue law | `law` | exact |
 | an internal force alone, to first order | `force` | exact in its size, by differences in all else |
 | elastic constants | `material` | exact |
 | one push of an indenter | `push` | exact |

@@ -38,4 +38,6 @@ def on_rays(finger: Finger, solid: AbstractSolid, moved: Callable[[Radii], Radii
     scale = np.where(radius > 1e-9, (radius + change) / np.where(radius > 1e-9, radius, 1.0), 1.0)
     nodes = finger.nodes.copy()
     nodes[:, :2] = centre + away * scale[:, None]
+    skin = np.unique(finger.skin)  # the middle of a long edge may lie beneath the skin that its ends are on
+    nodes[skin] = finger.nodes[skin]
     return dataclasses.replace(finger, nodes=nodes, key="")
