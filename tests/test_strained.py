@@ -108,7 +108,7 @@ def test_a_case_that_is_far_from_the_one_before_is_reached_in_steps(everything: 
 @pytest.mark.slow
 def test_a_warm_start_saves_iterations_and_changes_nothing(everything: Assembled, strained: Strained) -> None:
     again = strained_readings(everything.model, at(), STIFFENING, start=strained)
-    assert all(ended.iterations == 1 and ended.factorisations == 0 for rig in again.cases for ended in rig)
+    assert all(ended.iterations == 1 and ended.factorisations <= 1 for rig in again.cases for ended in rig)  # where one was needed
     SOLVED.check(rows(again), rows(strained))
     near = at(epidermis=1.02, dermis=0.97)
     warm, cold = (strained_readings(everything.model, near, STIFFENING, start=start) for start in (strained, None))

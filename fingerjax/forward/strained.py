@@ -205,22 +205,18 @@ def _followed(
     last: Resting | None = None
     chord: Chord | None = None
     for case, imposed, own in zip(known.cases, loads, warm, strict=True):
-        begin, spent = last, 0
+        spent = 0
         if own is not None and own.rest is not None:
-            begin = own.rest
             kept = known.chords.find(case, tissue.body, place)
             if kept is None and own.tangent:
-                kept, spent = tangent_chord(tissue, place, begin.displacement), 1
+                kept, spent = tangent_chord(tissue, place, own.rest.displacement), 1
             chord = chord if kept is None else kept
         chord = known.linear() if chord is None else chord
         if chord is None:
             yield UNTRIED
             continue
-        if begin is None:
-            from_ = np.zeros(3 * place.columns.nodes), place.overlapped(imposed)
-        else:
-            from_ = begin.displacement, begin.contact.active
-        ended, chord = _found(tissue, place, chord, imposed, from_, last, chording)
+        warm_start = None if own is None or own.rest is None else (own.rest.displacement, own.rest.contact.active)
+        ended, chord = _found(tissue, place, chord, imposed, warm_start, last, chording)
         last = last if ended.rest is None else ended.rest
         spent += ended.factorisations
         if spent:
@@ -228,31 +224,31 @@ def _followed(
         yield ended._replace(factorisations=spent, tangent=spent > 0 or (own is not None and own.tangent))
 
 
+Begin = tuple[np.ndarray, Array]  # a displacement (3n,), mm, and the touching hats
+
+
 def _found(
-    tissue: Tissue,
-    place: Place,
-    chord: Chord,
-    imposed: Imposed,
-    begin: tuple[np.ndarray, Array],
-    last: Resting | None,
-    chording: Chording,
+    tissue: Tissue, place: Place, chord: Chord, imposed: Imposed, warm: Begin | None, last: Resting | None, chording: Chording
 ) -> tuple[Ended, Chord]:
     """One equilibrium: from where it is looked for first, then from the equilibrium before, by halves of the way, at last by Newton."""
-    ended, chord = _by_chords(tissue, place, chord, imposed, begin, chording)
-    if ended.result.ok or last is None:
-        return ended if ended.result.ok else _by_newton(tissue, place, imposed, last, chording, ended), chord
-    spent = ended
-    if begin[0] is not last.displacement:
-        ended, chord = _by_chords(tissue, place, chord, imposed, (last.displacement, last.contact.active), chording)
+    spent = UNTRIED
+    for begin in ([] if warm is None else [warm]) + [_begin(place, last, imposed)]:
+        ended, chord = _by_chords(tissue, place, chord, imposed, begin, chording)
         spent = _sum(spent, ended)
-    if not ended.result.ok:
-        ended, chord = _by_halves(tissue, place, chord, imposed, last, chording, HALVINGS)
-        spent = _sum(spent, ended)
-    return (spent if spent.result.ok else _by_newton(tissue, place, imposed, last, chording, spent)), chord
+        if ended.result.ok:
+            return spent, chord
+    ended, chord = _by_halves(tissue, place, chord, imposed, last, chording, HALVINGS)
+    spent = _sum(spent, ended)
+    return (spent if ended.result.ok else _by_newton(tissue, place, imposed, last, chording, spent)), chord
+
+
+def _begin(place: Place, last: Resting | None, imposed: Imposed) -> Begin:
+    """The equilibrium before, or undeformed skin with whatever the indenter overlaps of it."""
+    return (np.zeros(3 * place.columns.nodes), place.overlapped(imposed)) if last is None else (last.displacement, last.contact.active)
 
 
 def _by_chords(
-    tissue: Tissue, place: Place, chord: Chord, imposed: Imposed, begin: tuple[np.ndarray, Array], chording: Chording
+    tissue: Tissue, place: Place, chord: Chord, imposed: Imposed, begin: Begin, chording: Chording
 ) -> tuple[Ended, Chord]:
     """With the chord at hand, then with tangents on the way."""
     (u, active), iterations, factorisations = begin, 0, 0
@@ -272,12 +268,12 @@ def _by_chords(
 
 
 def _by_halves(
-    tissue: Tissue, place: Place, chord: Chord, imposed: Imposed, last: Resting, chording: Chording, halvings: int
+    tissue: Tissue, place: Place, chord: Chord, imposed: Imposed, last: Resting | None, chording: Chording, halvings: int
 ) -> tuple[Ended, Chord]:
-    """In two steps from the equilibrium before, each of which may be halved again."""
-    spent = Ended(None, 0, 0, 0, False, RESULTS.no_equilibrium)
+    """In two steps from the equilibrium before, or from undeformed skin, each of which may be halved again."""
+    spent = UNTRIED
     for goal in (_half_way(last, imposed), imposed):
-        ended, chord = _by_chords(tissue, place, chord, goal, (last.displacement, last.contact.active), chording)
+        ended, chord = _by_chords(tissue, place, chord, goal, _begin(place, last, goal), chording)
         if not ended.result.ok and halvings > 1:
             further, chord = _by_halves(tissue, place, chord, goal, last, chording, halvings - 1)
             ended = _sum(ended, further)
@@ -288,11 +284,11 @@ def _by_halves(
     return spent, chord
 
 
-def _half_way(last: Resting, imposed: Imposed) -> Imposed:
+def _half_way(last: Resting | None, imposed: Imposed) -> Imposed:
     if imposed.travel is not None:
-        return imposed._replace(travel=0.5 * (float(last.contact.travel) + imposed.travel))
+        return imposed._replace(travel=0.5 * (imposed.travel + (0.0 if last is None else float(last.contact.travel))))
     assert imposed.force is not None
-    return imposed._replace(force=0.5 * (float(last.contact.force) + imposed.force))
+    return imposed._replace(force=0.5 * (imposed.force + (0.0 if last is None else float(last.contact.force))))
 
 
 def _sum(before: Ended, now: Ended) -> Ended:
