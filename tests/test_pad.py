@@ -12,6 +12,8 @@ from fingerjax.contact.locate import locate, surface_functionals, surface_y
 from fingerjax.contact.pad import functionals, pad
 from fingerjax.contact.reach import Indentation, pad_for, windows
 from fingerjax.errors import InputError
+from fingerjax.geometry.presets import preset
+from fingerjax.mesh import Resolution, build_finger
 
 BOWL = lattice(
     12, 0.5, lambda x, z: (x**2 + 0.5 * z**2) / 8.0
@@ -137,3 +139,14 @@ def test_windows_are_the_pad_seen_from_each_position():
             np.asarray(full.load @ jnp.where(full.overlap + 0.2 * full.area > 0, 1.0, 0.0))
         )
         assert float(face.lowest) == pytest.approx(float(full.lowest), abs=1e-12)
+
+
+def test_where_a_finger_was_cut_its_skin_ends_as_at_any_edge_of_the_body():
+    """A plate may rest on the rim of the cut; what is left out of a pad that was chosen is still its border."""
+    finger = build_finger(preset("monkey"), Resolution(1.2))
+    whole = pad(finger)
+    cut = np.asarray(finger.proximal)[np.asarray(whole.nodes)]
+    carrying = np.unique(np.asarray(whole.facets)[:, :3])
+    rim = np.zeros(len(whole.nodes), bool)
+    rim[carrying[np.asarray(whole.rim)]] = True
+    assert cut[carrying].any() and rim.any() and not np.any(rim & cut)

@@ -22,7 +22,9 @@ SHARP = 0.5  # cosine of the angle by which the skin turns at an edge of the bod
 
 @runtime_checkable
 class SkinMesh(Protocol):
-    """What this file needs of a finger: `nodes` (n, 3) in mm and `skin` (f, 6), normals outward."""
+    """What this file needs of a finger: `nodes` (n, 3) in mm and `skin` (f, 6), normals outward; and `proximal` (n,) bool, nodes on the cut
+    where the body ends, if it has one.
+    """
 
     @property
     def nodes(self) -> np.ndarray: ...
@@ -92,7 +94,7 @@ def _normals(finger: SkinMesh) -> np.ndarray:
 
 
 def _edges(finger: SkinMesh) -> np.ndarray:
-    """(n,) bool: nodes where two facets of the skin meet at an angle that no smooth skin has."""
+    """(n,) bool: nodes where two facets of the skin meet at an angle that no smooth skin has, or on the cut, where the skin ends."""
     skin, normal = np.asarray(finger.skin), _normals(finger)
     sides = skin[:, [[0, 3, 1], [1, 4, 2], [2, 5, 0]]].reshape(-1, 3)
     order = np.argsort(sides[:, 1], kind="stable")
@@ -100,7 +102,8 @@ def _edges(finger: SkinMesh) -> np.ndarray:
     pairs = np.flatnonzero(middle[1:] == middle[:-1])
     one, other = order[pairs] // 3, order[pairs + 1] // 3
     sharp = np.einsum("fi,fi->f", normal[one], normal[other]) < SHARP
-    return np.isin(np.arange(len(finger.nodes)), sides[order[pairs[sharp]]])
+    cut = getattr(finger, "proximal", np.zeros(len(finger.nodes), bool))
+    return cut | np.isin(np.arange(len(finger.nodes)), sides[order[pairs[sharp]]])
 
 
 def of_facets(points: np.ndarray, skin: np.ndarray, edge: np.ndarray) -> Pad:
