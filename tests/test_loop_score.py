@@ -107,6 +107,19 @@ def test_one_sided_effects_count_on_their_own_side_only() -> None:
     assert ranking["down"].statistic == 0.0 and ranking["down"].z > 5
 
 
+def test_of_what_cannot_be_plausible_only_the_plausible_part_is_promised() -> None:
+    """The truth's own curve, of which there can be a tenth of what the residual asks for, comes behind a poorer one of any size."""
+    little, curves = curve("little", X**2, scale=0.05 / 3, lower=-0.05, upper=0.05)
+    poorer, more = curve("poorer", X**2 + 0.3 * np.sin(9 * X))
+    best = based(Straight((little, poorer), curves | more, truth=0.5 * X**2))
+    ranking = rank(best, (little, poorer), curves | more)
+    assert [score.family.name for score in ranking.testable] == ["little", "poorer"]
+    assert [score.family.name for score in ranking.promising] == ["poorer", "little"]
+    for name in ("little", "poorer"):
+        fitted = optimum(best.sample, ranking[name].nodes[0].columns, best.raw, {f"{name}.size": 0.01})
+        assert best.rss - fitted.rss == pytest.approx(ranking[name].nodes[0].promise, rel=1e-3)
+
+
 def test_a_block_of_one_direction_twice_counts_as_little_more_than_once() -> None:
     random = np.random.default_rng(0)
     noise = random.standard_normal((40, 20000))

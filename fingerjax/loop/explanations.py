@@ -226,9 +226,9 @@ class Inquiry:
         return min(fits, key=_misfit)
 
     def singles(self) -> list[Explanation]:
-        """The best families by score, refitted, best first; where there are two rankings, by turns."""
-        late = [score.family.name for score in self.base.ranking.testable]
-        early = [] if self.early is None else [score.family.name for score in self.early.testable if score.family.name in late]
+        """The families that promise most, refitted, best first; where there are two rankings, by turns."""
+        late = [score.family.name for score in self.base.ranking.promising]
+        early = [] if self.early is None else [score.family.name for score in self.early.promising if score.family.name in late]
         turns = [name for pair in zip_longest(early, late) for name in pair if name is not None]
         ranked = list(dict.fromkeys(turns))[:FAMILIES]
         for number, name in enumerate(ranked):
@@ -239,11 +239,11 @@ class Inquiry:
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
         """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.
 
-        Those come first whose scores promise the least sum of squares.
+        Those come first that promise the least sum of squares.
         """
         leads = [one for one in singles if one.significant][:LEADS]
         asked = [(lead, node) for lead in leads for node in self._rivals(lead)]
-        asked.sort(key=lambda pair: pair[0].best.rss - pair[1].statistic ** 2)
+        asked.sort(key=lambda pair: pair[0].best.rss - pair[1].promise)
         pairs: dict[frozenset[str], tuple[Explanation, Node]] = {}
         for lead, node in asked:
             pairs.setdefault(frozenset((lead.families[0], node.columns[0].family)), (lead, node))
@@ -266,8 +266,8 @@ class Inquiry:
                 yield self._explained((*lead.families, family), fit, {family: lead.best.rss})
 
     def _rivals(self, lead: Explanation) -> list[Node]:
-        """What the residual of a lead asks for most, of what could be told from the base parameters at all."""
-        scores = [score for score in lead.look.ranking.testable if self.base.ranking[score.family.name].testable]
+        """What promises most beside a lead, of what could be told from the base parameters at all."""
+        scores = [score for score in lead.look.ranking.promising if self.base.ranking[score.family.name].testable]
         return [score.nodes[0] for score in scores[:RIVALS]]
 
 

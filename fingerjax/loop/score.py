@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
+from scipy.optimize import lsq_linear
 
 from ..parameters import Parameter
 from .refit import Optimum
@@ -31,11 +32,16 @@ _QUANTILE = 0.998  # at which statistics of several columns are made to agree wi
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One node of a family's grid: its columns that can be tested, their statistic, and key -> expected change from null."""
+    """One node of a family's grid: its columns that can be tested, their statistic, and key -> expected change from null.
+
+    `promise`: the fall of the sum of squares that plausible sizes can bring, to first order. Where a residual asks for more of an effect
+    than there can be, its statistic is larger than what a refit will find.
+    """
 
     columns: tuple[Column, ...]
     statistic: float
     change: Mapping[str, float]
+    promise: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +98,11 @@ class Ranking:
         return tuple(score for score in self.scores if score.testable)
 
     @property
+    def promising(self) -> tuple[Score, ...]:
+        """Those that can be tested, by what plausible sizes of them promise."""
+        return tuple(sorted(self.testable, key=lambda score: -max(node.promise for node in score.nodes)))
+
+    @property
     def absorbed(self) -> tuple[Score, ...]:
         return tuple(score for score in self.scores if score.imitation)
 
@@ -146,7 +157,13 @@ class _Work:
         lengths = np.array([np.linalg.norm(self.rest[column.key]) for column in columns])
         sizes = np.linalg.lstsq(block, self.residual, rcond=1e-9)[0] / lengths
         change = {column.key: float(size) for column, size in zip(columns, sizes, strict=True)}
-        return Node(columns, float(statistics(columns, (block.T @ self.residual)[:, None], block.T @ block)[0]), change)
+        statistic = float(statistics(columns, (block.T @ self.residual)[:, None], block.T @ block)[0])
+        return Node(columns, statistic, change, self._promise(columns, block, lengths))
+
+    def _promise(self, columns: tuple[Column, ...], block: Float[np.ndarray, "sample k"], lengths: Float[np.ndarray, "k"]) -> float:
+        limits = np.array([(column.lower - column.null, column.upper - column.null) for column in columns]).T * lengths
+        left = lsq_linear(block, self.residual, bounds=(limits[0], limits[1])).cost
+        return max(float(self.residual @ self.residual) - 2.0 * float(left), 0.0)
 
     def score(self, family: Family) -> Score:
         seen = [tuple(one for one in variant if self.felt(one) and self.left(one) >= LEFT) for variant in family.variants]
