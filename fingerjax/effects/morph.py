@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from ..finger import Finger
 from ..geometry.solid import AbstractSolid
@@ -38,6 +39,13 @@ def on_rays(finger: Finger, solid: AbstractSolid, moved: Callable[[Radii], Radii
     scale = np.where(radius > 1e-9, (radius + change) / np.where(radius > 1e-9, radius, 1.0), 1.0)
     nodes = finger.nodes.copy()
     nodes[:, :2] = centre + away * scale[:, None]
-    skin = np.unique(finger.skin)  # the middle of a long edge may lie beneath the skin that its ends are on
-    nodes[skin] = finger.nodes[skin]
+    still = _still(finger, change)
+    nodes[still] = finger.nodes[still]
     return dataclasses.replace(finger, nodes=nodes, key="")
+
+
+def _still(finger: Finger, change: Float[np.ndarray, " n"]) -> Int[np.ndarray, " _"]:
+    """Vertices of the skin that stay, and the middles of edges between two of them, which lie beneath the skin where straight."""
+    ends, middles = finger.skin[:, [[0, 1], [1, 2], [2, 0]]], finger.skin[:, 3:]
+    stays = np.abs(change) < 1e-9 * np.ptp(finger.nodes[:, 1])
+    return np.concatenate([np.unique(ends[stays[ends]]), np.unique(middles[stays[ends].all(axis=2)])])
