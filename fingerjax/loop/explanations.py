@@ -268,7 +268,7 @@ class Inquiry:
     def _rivals(self, lead: Explanation) -> list[Node]:
         """What promises most beside a lead, of what could be told from the base parameters at all."""
         scores = [score for score in lead.look.ranking.promising if self.base.ranking[score.family.name].testable]
-        return [score.nodes[0] for score in scores[:RIVALS]]
+        return [score.promising for score in scores[:RIVALS]]
 
 
 def main(singles: list[Explanation]) -> Explanation | None:

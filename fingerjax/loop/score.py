@@ -71,6 +71,11 @@ class Score:
         return bool(self.nodes)
 
     @property
+    def promising(self) -> Node:
+        """The node that promises most."""
+        return max(self.nodes, key=lambda node: node.promise)
+
+    @property
     def change(self) -> Mapping[str, float]:
         """Key -> expected change from null at the best node."""
         return self.nodes[0].change if self.nodes else {}
@@ -100,7 +105,7 @@ class Ranking:
     @property
     def promising(self) -> tuple[Score, ...]:
         """Those that can be tested, by what plausible sizes of them promise."""
-        return tuple(sorted(self.testable, key=lambda score: -max(node.promise for node in score.nodes)))
+        return tuple(sorted(self.testable, key=lambda score: -score.promising.promise))
 
     @property
     def absorbed(self) -> tuple[Score, ...]:
