@@ -83,7 +83,7 @@ def investigate(
     if asks_for_effects(noise, base):
         inquiry.early = _early(best, families)
         singles = inquiry.singles() if inquiry.early is not None or out_of_the_mesh(mesh, base) else []
-        if not any(one.in_set for one in singles) and main(singles) is None:
+        if main(singles) is None or any(one.in_set for one in singles):
             pairs = inquiry.pairs(singles)
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)
     inquiry.tell = _part(tell, 0.7, 0.1)

@@ -8,7 +8,8 @@ An explanation stays in the set where
     d  it lies inside what is plausible
 
 A second term of the same effect is tried before another effect is. Where the set is empty two effects are tried together, each of which
-must explain more than chance given the other.
+must explain more than chance given the other. Where it is not, two together join it only where they are far ahead of every one in it: an
+effect that is not there may imitate two that are.
 """
 
 from __future__ import annotations
@@ -239,10 +240,10 @@ class Inquiry:
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
         """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.
 
-        Those come first that promise the least sum of squares.
+        Those come first that promise the least sum of squares; where one effect is enough only those that promise to be ahead of it.
         """
-        leads = [one for one in singles if one.significant][:LEADS]
-        asked = [(lead, node) for lead in leads for node in self._rivals(lead)]
+        leads, below = [one for one in singles if one.significant][:LEADS], ahead_of(singles)
+        asked = [(lead, node) for lead in leads for node in self._rivals(lead) if lead.best.rss - node.promise < below]
         asked.sort(key=lambda pair: pair[0].best.rss - pair[1].promise)
         pairs: dict[frozenset[str], tuple[Explanation, Node]] = {}
         for lead, node in asked:
@@ -269,6 +270,11 @@ class Inquiry:
         """What promises most beside a lead, of what could be told from the base parameters at all."""
         scores = [score for score in lead.look.ranking.promising if self.base.ranking[score.family.name].testable]
         return [score.promising for score in scores[:RIVALS]]
+
+
+def ahead_of(singles: list[Explanation]) -> float:
+    """The sum of squares below which two effects are far ahead of each one that is enough alone; inf where none is."""
+    return min((one.best.rss for one in singles if one.in_set), default=math.inf) - AHEAD
 
 
 def main(singles: list[Explanation]) -> Explanation | None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from .adequacy import Look
-from .explanations import Explanation, main
+from .explanations import Explanation, ahead_of, main
 from .meshguard import MeshGuard
 from .noise import Noise
 from .score import Score
@@ -79,10 +79,12 @@ def _judge(
         if mesh.blind:
             return MESH_LIMITED, ()
         return (ADEQUATE if noise.repeated else NOISE_UNKNOWN), ()
-    members = tuple(one for one in singles if one.in_set)
-    if members:
+    alone, below = tuple(one for one in singles if one.in_set), ahead_of(singles)
+    both = tuple(one for one in pairs if one.in_set and one.best.rss < below)
+    if alone:
+        members = (*both, *alone)
         return (ATTRIBUTED if len(members) == 1 else AMBIGUOUS), members
-    mainly, both = main(singles), tuple(one for one in pairs if one.in_set)
+    mainly = main(singles)
     if mainly is not None:
         return MAINLY, (mainly,)
     if both:
