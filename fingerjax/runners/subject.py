@@ -39,6 +39,7 @@ class FingerSubject(AbstractSubject):
         self.priors = _priors(self.base, self.parameters)
         self._fine: Assembled | None = None
         self._soft: Assembled | None = None
+        self._finely: tuple[np.ndarray, Amounts, np.ndarray | None] | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
         self._beyond = Beyond(self.elastic, self._on_the_finer)
 
@@ -95,6 +96,7 @@ class FingerSubject(AbstractSubject):
         if on is None:
             return None
         fine = self.elastic.value(on, raw, self.elastic.lawless(amounts))
+        self._finely = np.array(raw), self.elastic.lawless(amounts), fine
         if fine is not None and self.elastic.is_strained(amounts):
             more = self._beyond.added(raw, amounts, finely=True) or self._beyond.added(raw, amounts)
             fine = None if more is None else fine + more[0]
@@ -106,15 +108,9 @@ class FingerSubject(AbstractSubject):
         if self._fine is None or self._soft is None:
             return None
         amounts = self.elastic.amounts({key: value for key, value in phi.items() if not self.elastic.is_law(key)})
-        found = []
-        for each in (self._fine, self._soft):
-            try:
-                on = self.elastic.variants.on(each, amounts)
-            except ValueError:  # an element turns over
-                return None
-            found.append(self.elastic.value(on, raw, amounts))
-            on.model.solver.forget()
-        fine, soft = found
+        fine, soft = self._lately(raw, amounts), self._read_on(self._soft, raw, amounts)
+        if fine is None:
+            fine = self._read_on(self._fine, raw, amounts)
         return None if fine is None or soft is None else (soft - fine) / 2
 
     def refine(self, fine: Assembled, refinement: float) -> None:
@@ -137,6 +133,22 @@ class FingerSubject(AbstractSubject):
             return value
         more = self._beyond.added(raw, amounts)
         return None if more is None else value + more[0]
+
+    def _read_on(self, ready: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
+        """The readings on another mesh; None where an element turns over there, or there is no answer."""
+        try:
+            on = self.elastic.variants.on(ready, amounts)
+        except ValueError:
+            return None
+        found = self.elastic.value(on, raw, amounts)
+        on.model.solver.forget()
+        return found
+
+    def _lately(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
+        """What was read last on the finer mesh, if it was this."""
+        if self._finely is None or not np.array_equal(self._finely[0], raw) or self._finely[1] != amounts:
+            return None
+        return self._finely[2]
 
     def _on_the_finer(self, amounts: Amounts) -> Assembled | None:
         """The finer mesh with effects in it; None where there is none or an element turns over."""
