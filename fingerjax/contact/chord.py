@@ -78,7 +78,7 @@ class Chord:
 
     def __call__(self, load: np.ndarray) -> np.ndarray:
         """Displacement (3n,), mm, under nodal forces (3n,), N."""
-        return np.asarray(self.condensed.answer(jnp.asarray(load).reshape(1, -1, 3))).ravel()
+        return np.asarray(self.condensed.answer(jnp.asarray(load.reshape(1, -1, 3)))).ravel()
 
 
 class Chords:
@@ -222,9 +222,9 @@ class Search:
         return float(energy), np.asarray(force).ravel()
 
     def _residual(self, load: np.ndarray, left: np.ndarray) -> float:
-        left, load = _admissible(self.tissue, jnp.asarray(np.stack([left, load])))
-        size = float(jnp.linalg.norm(load))
-        return float(jnp.linalg.norm(left)) / (size if size > 0 else 1.0)
+        left, load = np.asarray(_admissible(self.tissue, jnp.asarray(np.stack([left, load]))))
+        size = float(np.linalg.norm(load))
+        return float(np.linalg.norm(left)) / (size if size > 0 else 1.0)
 
     def _shortened(self, at: _Iterate, whole: bool) -> _Iterate | None:
         """A part of the way to the chord's own answer, at which the energy has fallen enough; the `whole` of it where a travel is new."""

@@ -131,6 +131,8 @@ class ByFactor(AbstractCondensed):
 
     def _flat_answer(self, loads: np.ndarray) -> Array:
         held = self._solve(loads[:, self._free].T)
+        if len(self.bone.motions) == 0:
+            return jnp.asarray(held)
         motions = np.asarray(self.bone.motions).reshape(len(self.bone.motions), loads.shape[1])
         return self.bone.complete(jnp.asarray(held), jnp.asarray(motions @ loads.T))
 

@@ -111,6 +111,7 @@ def strained_readings(
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
     linear = {number: _once(partial(model.solver.condense, model.body, one.lame, model.columns)) for number, one in enumerate(tissues)}
     likes = [first_like(model.body, [one.lame for one in tissues], variant)[0] for variant in range(len(tissues))]
+    imposed = [impositions(model.instruments.added, rig, values) for rig in rigs]
     for variant, (tissue, like) in enumerate(zip(tissues, likes, strict=True)):
         condensed = linear[like] if like in likes[variant + 1 :] else linear.pop(like)
         for number, rig in enumerate(rigs):
@@ -119,7 +120,7 @@ def strained_readings(
                 known = [None if start is None else start.cases[number][case] for case in path]
                 twins = [None if like == variant else twin(rig, case, like) for case in path]
                 warm = [known[i] if other is None else _rest(cases[number][other]) for i, other in enumerate(twins)]
-                loads = [imposed_on(model, values, rig, case) for case in path]
+                loads = [imposed[number][case] for case in path]
                 known_by = _Known(chords, [(number, case) for case in path], partial(Chord.of, condensed, own))
                 followed = _followed(tissue, place, known_by, loads, warm, chording)
                 for case, ended in zip(path, followed, strict=False):
@@ -150,14 +151,22 @@ def paths(rig: Rig, variant: int) -> Iterator[tuple[int, list[int]]]:
         yield int(pose), cases[np.argsort(load[cases])].tolist()
 
 
-def imposed_on(model: Model, values: Values, rig: Rig, case: int) -> Imposed:
-    """What is imposed in a case, with effects on the push. **Raises** `ValueError` for an effect that changes what skin is in the way."""
-    geometry = jax.tree.map(lambda leaf: leaf[rig.pose[case]], rig.interface)
-    push = pushed(model.instruments.added, rig, rig.pose[case], rig.imposed[case], values)
-    if not np.array_equal(push.overlap, geometry.overlap):
+def impositions(added: Added, rig: Rig, values: Values) -> list[Imposed]:
+    """What is imposed in each case, with effects on the push.
+
+    **Raises** `ValueError` for an effect that changes what skin is in the way.
+    """
+    push = _all_pushed(added, rig, {name: jnp.asarray(value, float) for name, value in values.items()})
+    if not np.array_equal(push.overlap, np.asarray(rig.interface.overlap)[np.asarray(rig.pose)]):
         raise ValueError("an effect that changes what skin is in the way is not computed together with nonlinear tissue")
-    value, series = float(push.imposed), float(push.series)
-    return Imposed(None, value, series) if rig.forced else Imposed(value, None, series)
+    each = zip(np.asarray(push.imposed).tolist(), np.asarray(push.series).tolist(), strict=True)
+    return [Imposed(None, value, series) if rig.forced else Imposed(value, None, series) for value, series in each]
+
+
+@eqx.filter_jit
+def _all_pushed(added: Added, rig: Rig, values: dict[str, Array]) -> Push:
+    """The pushes of all cases, stacked."""
+    return jax.vmap(lambda pose, imposed: pushed(added, rig, pose, imposed, values))(rig.pose, rig.imposed)
 
 
 def pushed(added: Added, rig: Rig, pose: Array, imposed: Array, values: Values) -> Push:
