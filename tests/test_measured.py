@@ -63,7 +63,7 @@ def test_a_study_reads_its_data(name: str, measured: Path, monkeypatch: pytest.M
 
 
 def test_every_study_of_every_file_is_a_part() -> None:
-    assert set(FINGERS) <= set(NAMES) and {"lag", "lag_200", "mouse_relaxation", "silicone"} <= set(NAMES)
+    assert set(FINGERS) <= set(NAMES) and {"lag", "mouse_relaxation", "silicone"} <= set(NAMES)
 
 
 def test_ratios_of_table_1_are_the_published_ones(monkeypatch: pytest.MonkeyPatch) -> None:
