@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from benchmarks._record import Figure, at_least, at_most
 from fingerjax.loop import heldout
@@ -17,6 +18,9 @@ TIMES, SHARE = 3.0, 0.10
 """What is hoped for: held-out errors so many times smaller after than before, and at most this share of the held-out forces."""
 
 
+SHARED = "held-out forces, error of curves that subjects share up to a factor"
+
+
 def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
     """Curves, models, and the forces that were held out."""
     yield Table("curves", "Each force curve by itself", list(_curves(study, findings)), CURVES)
@@ -24,6 +28,8 @@ def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
     yield Figure(f"{study.name}: held-out forces, error before", before, "1")
     yield at_most(f"{study.name}: held-out forces, error after", after, "1", SHARE)
     yield at_least(f"{study.name}: held-out forces, times smaller after", before / after, "1", TIMES)
+    yield Figure(f"{study.name}: {SHARED}", shared_curves(study, findings, told=False), "1", note="any curve of an indenter")
+    yield Figure(f"{study.name}: {SHARED}, fitted to these too", shared_curves(study, findings, told=True), "1")
 
 
 CURVES = (
@@ -69,3 +75,31 @@ def held_out(study: Study, findings: Findings, best: Optimum) -> float:
     forces = np.isin(rows.block, [one.name for one in study.measurements if one.kind == "force_displacement"])
     kept = forces & heldout.in_role(rows, dict(findings.roles), "report")
     return _left(rows.measured[kept], (best.at.prediction + best.sample.offset)[kept])
+
+
+def shared_curves(study: Study, findings: Findings, *, told: bool) -> float:
+    """The same error of a model without mechanics: force = factor of the subject x any curve of the indenter, by least squares.
+
+    How well subjects foretell each other at all, whatever fingers are made of. With `told` the held-out forces are fitted too.
+    """
+    force, subject, curve, kept = (np.concatenate(each) for each in zip(*_forces(study, findings), strict=True))
+    curve, subject = (np.unique(each, return_inverse=True)[1].reshape(-1) for each in (curve, subject))
+    use, subjects = np.ones(len(force), bool) if told else ~kept, int(subject.max()) + 1
+
+    def foretold(x: np.ndarray) -> np.ndarray:
+        return np.exp(np.append(0.0, x[: subjects - 1])[subject] + x[subjects - 1 :][curve])
+
+    start = np.append(np.zeros(subjects - 1), [np.log(np.mean(force[curve == one])) for one in range(int(curve.max()) + 1)])
+    found = least_squares(lambda x: (foretold(x) - force)[use], start, x_scale="jac", xtol=1e-12, ftol=1e-12)
+    return _left(force[kept], foretold(found.x)[kept])
+
+
+def _forces(study: Study, findings: Findings) -> Iterator[tuple[np.ndarray, ...]]:
+    """Of each measurement of force: forces, subjects, indenter and depth, and whether they were held out."""
+    rows = findings.subject.rows
+    held = heldout.in_role(rows, dict(findings.roles), "report")
+    for one in study.measurements:
+        if one.kind == "force_displacement":
+            where = np.arange(len(rows))[rows.blocks[one.name]]
+            curve = np.array([f"{one.name} {depth:.3f}" for depth in one.table["displacement"]])
+            yield rows.measured[where], one.table["subject"].astype(str), curve, held[where]
