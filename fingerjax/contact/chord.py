@@ -38,7 +38,7 @@ SLACK = 1e-9  # share of the energy below which a rise is rounding
 SHORTEST = 2.0**-6  # share of a step below which it is given up
 WORSE = 1.5  # growth of the step's norm at which a mixture is not believed
 BEYOND = 1e100  # N: forces from which on sums of their squares are no longer numbers
-ROOM = 1_000_000_000  # bytes of factorisations that are kept between searches
+ROOM = 1_500_000_000  # bytes of factorisations that are kept between searches
 ALIKE = 1e-12  # combinations of steps whose product is less than this share of the largest are none
 
 

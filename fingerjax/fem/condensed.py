@@ -118,6 +118,7 @@ class ByFactor(AbstractCondensed):
     ):
         self.held, self.bone, self.memory = held, bone, memory
         self._solve, self._matrix, self._free = solve, matrix, free
+        self._motions, self._stiffness = np.asarray(bone.motions).reshape(len(bone.motions), matrix.shape[0]), np.asarray(bone.stiffness)
 
     def displacement(self, forces: Float[Array, "k m"]) -> Fields:
         return self._flat_answer(np.asarray((self._matrix @ np.asarray(forces).T).T))
@@ -131,10 +132,9 @@ class ByFactor(AbstractCondensed):
 
     def _flat_answer(self, loads: np.ndarray) -> Array:
         held = self._solve(loads[:, self._free].T)
-        if len(self.bone.motions) == 0:
-            return jnp.asarray(held)
-        motions = np.asarray(self.bone.motions).reshape(len(self.bone.motions), loads.shape[1])
-        return self.bone.complete(jnp.asarray(held), jnp.asarray(motions @ loads.T))
+        if len(self._motions):  # as `bone.complete`, which takes longer than the solve outside of compiled code
+            held = held + (np.linalg.solve(self._stiffness, self._motions @ loads.T).T @ self._motions).reshape(held.shape)
+        return jnp.asarray(held)
 
 
 class Stiffer(AbstractCondensed):
