@@ -290,6 +290,7 @@ def test_where_nothing_is_named_it_is_said_how_near_the_catalogue_comes() -> Non
     assert {"contact_offset", "relaxation"} <= set(found.nearest.families)
     assert f"nearest with {' and '.join(found.nearest.families)} (" in found.verdict.text
     assert f"remove {found.nearest.share_explained:.1%} of the misfit" in found.verdict.text
+    assert "; but the model with them leaves something to be explained" in found.verdict.text
 
 
 def test_names_permuted_permute_the_answer() -> None:

@@ -65,8 +65,19 @@ def with_nearest(verdict: Verdict, nearest: Explanation | None) -> Verdict:
     if nearest is None or len(nearest.families) < 2:
         return verdict
     comes = f"The catalogue comes nearest with {' and '.join(nearest.families)} ({sizes(nearest)})"
-    how_far = f"which remove {min(nearest.eta, 1.0):.1%} of the misfit beyond the noise. That does not make them the missing effects."
-    return replace(verdict, text=f"{verdict.text} {comes}, {how_far}")
+    how_far = f"which remove {min(nearest.eta, 1.0):.1%} of the misfit beyond the noise"
+    return replace(verdict, text=f"{verdict.text} {comes}, {how_far}{_against(nearest)}. That does not make them the missing effects.")
+
+
+def _against(nearest: Explanation) -> str:
+    """Why a model that comes near is not named: what its own residual says against it."""
+    if nearest.reason == "":
+        return ""
+    said, tests = [nearest.reason], nearest.look.adequacy
+    if tests.largest_p < tests.alpha / 3:
+        rival = nearest.look.ranking.scores[0]
+        said.append(f"what remains looks most like {rival.family.name} (score {rival.z:.1f}, {nearest.look.critical.value:.1f} by chance)")
+    return f"; but the model with them {': '.join(said)}"
 
 
 def _judge(
