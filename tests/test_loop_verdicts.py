@@ -20,6 +20,7 @@ from fingerjax.loop.score import rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
 from fingerjax.loop.verdict import decide, out_of_the_mesh
 from fingerjax.parameters import Parameter
+from fingerjax.report import loop_tables
 from fingerjax.study_records import Reach
 
 
@@ -105,6 +106,9 @@ def test_two_effects_are_both_named_and_each_is_needed() -> None:
     assert len({tuple(name.split(" again ")[0].split()) for name in both}) == 1  # not once more the other way round
     assert sorted(found.verdict.families) == ["contact_offset", "spontaneous_rate"]
     assert found.after.phi["spontaneous_rate.rate"].value == pytest.approx(6.0, rel=0.2)
+    rows = loop_tables.pairs(found.record()).rows
+    assert len(rows) == len(found.pairs) > 0
+    assert rows[0]["in_the_set"] and "spontaneous rate" in str(rows[0]["effects"]) and "contact offset.offset" in str(rows[0]["sizes"])
 
 
 @pytest.mark.parametrize("pairs", [0, 2])

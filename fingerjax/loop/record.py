@@ -168,6 +168,14 @@ class RefitRecord:
 
 
 @dataclass(frozen=True)
+class PairRecord:
+    """Two effects at once, or more: who, and how the model fits with them."""
+
+    families: list[str]
+    refit: RefitRecord
+
+
+@dataclass(frozen=True)
 class CandidateRecord:
     family: str
     columns: list[str]
@@ -312,6 +320,7 @@ class Diagnosis:
     runtime_s: float
     rows: dict[str, BlockRows]
     nearest: Nearest | None = None
+    pairs: list[PairRecord] = field(default_factory=list)
 
     def record(self) -> dict[str, Any]:
         """The diagnosis as JSON has it."""

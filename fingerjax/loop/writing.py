@@ -50,6 +50,7 @@ def written(found: Findings) -> record.Diagnosis:
         runtime_s=found.seconds,
         rows=_rows(found),
         nearest=_nearest(found),
+        pairs=[record.PairRecord(list(one.families), _explained(found, one)) for one in found.explanations if len(one.families) > 1],
     )
 
 

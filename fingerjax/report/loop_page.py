@@ -62,7 +62,7 @@ PLANS: dict[str, Plan] = {
         "What could explain it",
         loop_words.about_effects,
         lambda record: [loop_figures.effects(record)] if record.get("candidates") else [],
-        (loop_tables.refits, loop_tables.effects),
+        (loop_tables.refits, loop_tables.pairs, loop_tables.effects),
     ),
     "alike": Plan(
         "What looks alike, and what to measure next",

@@ -110,13 +110,26 @@ def refits(record: Record) -> Table:
     return Table("loop_refits", "Fitted anew with each of the best effects", rows, note)
 
 
+def pairs(record: Record) -> Table:
+    """The fits made anew with two effects at once, best first."""
+    found = sorted(record.get("pairs") or [], key=lambda one: -_finite(one["refit"].get("delta")))
+    rows: list[Row] = [{"effects": listed(one["families"]), "sizes": _sizes(one["refit"])} | _judged(one["refit"]) for one in found]
+    return Table("loop_pairs", "Fitted anew with two effects at once", rows, "Columns as in the table of single effects.")
+
+
+def _sizes(refit: Mapping[str, Any]) -> str:
+    ends = refit.get("ci") or {}
+    return ", ".join(_with_ends(spoken(key), value, ends.get(key)) for key, value in (refit.get("phi") or {}).items())
+
+
 def _refit(record: Record, one: Mapping[str, Any]) -> Row:
-    refit = one["refit"]
+    said = {"effect": spoken(one["family"]), "size": fitted_sizes(one, one["refit"]), "unit": unit_of(one)}
+    return said | _judged(one["refit"], str(one["family"]) in explanations(record))
+
+
+def _judged(refit: Mapping[str, Any], in_the_set: bool = False) -> Row:
     rival = refit.get("best_rival") or {}
     return {
-        "effect": spoken(one["family"]),
-        "size": fitted_sizes(one, refit),
-        "unit": unit_of(one),
         "misfit_removed": maybe(refit.get("delta")),
         "explained": maybe(refit.get("eta")),
         "strongest_rival": spoken(rival.get("family") or ""),
@@ -125,7 +138,7 @@ def _refit(record: Record, one: Mapping[str, Any]) -> Row:
         "BIC_change": maybe(refit.get("bic")),
         "log_evidence_gain": maybe(refit.get("log_evidence")),
         "converged": refit.get("converged"),
-        "in_the_set": bool(refit.get("in_set", str(one["family"]) in explanations(record))),
+        "in_the_set": bool(refit.get("in_set", in_the_set)),
         "remark": str(refit.get("reason") or ""),
     }
 
