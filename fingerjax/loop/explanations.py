@@ -125,6 +125,7 @@ class Inquiry:
     early: Ranking | None = None
     reach: Reach = field(default_factory=Reach)
     found: dict[str, Explanation] = field(default_factory=dict)
+    paired: set[frozenset[str]] = field(default_factory=set)  # families that were tried together
     leading: float = 0.0  # the largest fall of RSS so far
 
     @property
@@ -252,6 +253,7 @@ class Inquiry:
         for number, (lead, node) in enumerate(list(pairs.values())[: self.reach.pairs]):
             names = (lead.families[0], node.columns[0].family)
             self.tell(number / self.reach.pairs, f"refit with {' and '.join(names)}")
+            self.paired.add(frozenset(names))
             fit = self._added(lead, node)
             if fit.settled and lead.best.rss - fit.rss > self.needed:
                 without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
@@ -259,11 +261,13 @@ class Inquiry:
         return sorted(found, key=lambda one: -_number(one.delta))
 
     def enlarged(self, lead: Explanation) -> Iterator[Explanation]:
-        """An explanation with each of the effects that its own residual asks for most."""
+        """An explanation with each of the effects that its own residual asks for most, but for those that were tried with it already."""
         for node in self._rivals(lead):
+            family = node.columns[0].family
+            if frozenset((*lead.families, family)) in self.paired:
+                continue
             fit = self._added(lead, node)
             if fit.settled:
-                family = node.columns[0].family
                 yield self._explained((*lead.families, family), fit, {family: lead.best.rss})
 
     def _rivals(self, lead: Explanation) -> list[Node]:
