@@ -18,6 +18,7 @@ TIMES, SHARE = 3.0, 0.10
 """What is hoped for: held-out errors so many times smaller after than before, and at most this share of the held-out forces."""
 
 
+LEAST = "held-out forces, least error of a model that was fitted"
 SHARED = "held-out forces, error of curves that subjects share up to a factor"
 
 
@@ -28,8 +29,17 @@ def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
     yield Figure(f"{study.name}: held-out forces, error before", before, "1")
     yield at_most(f"{study.name}: held-out forces, error after", after, "1", SHARE)
     yield at_least(f"{study.name}: held-out forces, times smaller after", before / after, "1", TIMES)
+    yield from _least(study, findings)
     yield Figure(f"{study.name}: {SHARED}", shared_curves(study, findings, told=False), "1", note="any curve of an indenter")
     yield Figure(f"{study.name}: {SHARED}, fitted to these too", shared_curves(study, findings, told=True), "1")
+
+
+def _least(study: Study, findings: Findings) -> Iterator[Figure]:
+    """Of all models that were fitted the one that is best on what was held out, and why it is not the end: no choice, an account."""
+    fitted = {one: held_out(study, findings, one.best) for one in findings.explanations if one.best.settled}
+    if fitted:
+        one = min(fitted, key=lambda one: fitted[one])
+        yield Figure(f"{study.name}: {LEAST}", fitted[one], "1", note=f"with {one.name.replace('_', ' ')}, which {one.reason or 'holds'}")
 
 
 CURVES = (

@@ -44,6 +44,7 @@ def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure], abse
     return environment.get_template(TEMPLATE.name).render(
         studies={name: _study(name, found[name]) for name in names},
         value=lambda name: values[name].value,
+        note=lambda name: values[name].note,
         cores=here["cores"],
         cpu=here["cpu"],
         memory=here["memory_GiB"],
