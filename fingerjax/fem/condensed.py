@@ -116,7 +116,7 @@ class ByFactor(AbstractCondensed):
         bone: Carriage,
         memory: int = 0,
     ):
-        self.held, self.bone, self.memory = held, bone, memory
+        self.held, self.memory = held, memory
         self._solve, self._matrix, self._free = solve, matrix, free
         self._motions, self._stiffness = np.asarray(bone.motions).reshape(len(bone.motions), matrix.shape[0]), np.asarray(bone.stiffness)
 
@@ -132,7 +132,7 @@ class ByFactor(AbstractCondensed):
 
     def _flat_answer(self, loads: np.ndarray) -> Array:
         held = self._solve(loads[:, self._free].T)
-        if len(self._motions):  # as `bone.complete`, which takes longer than the solve outside of compiled code
+        if len(self._motions):  # as `Carriage.complete`, which is for compiled code
             held = held + (np.linalg.solve(self._stiffness, self._motions @ loads.T).T @ self._motions).reshape(held.shape)
         return jnp.asarray(held)
 
