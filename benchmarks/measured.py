@@ -38,7 +38,7 @@ from fingerjax.loop.verdict import sizes
 from fingerjax.loop.writing import error, written
 from fingerjax.measurements import Measurement
 from fingerjax.report.records import Row, Table, plain
-from fingerjax.runners.diagnosing import subject_of
+from fingerjax.runners.diagnosing import parted, subject_of
 from fingerjax.study import Diagnose, Study, load_studies
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -111,7 +111,7 @@ def part(name: str, quick: bool) -> Iterator[Figure]:
     prepare()
     study = loaded(name, quick)
     asked = study.diagnose or Diagnose()
-    subject = subject_of(study, asked.effects, tell=_teller(name))
+    subject = parted(subject_of(study, asked.effects, tell=_teller(name)), study)
     findings = investigate(
         subject, seed=0, effects="all", alpha=0.05, sets=FEW_SETS if quick else SETS, tell=_teller(name), kept=_parts(name, study, quick),
         reach=asked.reach,

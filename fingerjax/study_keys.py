@@ -272,8 +272,9 @@ class FormKeys(Strict):
 
 class DiagnoseKeys(Strict):
     """Which missing effects are looked for, on which rows the answer is tried, how good any model can be (`model_error`), how well the
-    place of an afferent is known (`placement_mm`), how many nodes a mesh may have on which models are fitted (`nodes`), and how far the
-    catalogue is searched where no effect alone explains the data: `pairs` that are tried, effects `together` in the nearest model.
+    place of an afferent is known (`placement_mm`), how many nodes a mesh may have on which models are fitted (`nodes`), how far the
+    catalogue is searched where no effect alone explains the data: `pairs` that are tried, effects `together` in the nearest model; and
+    which effects have an amount of their own for each label of a column (`per`).
     """
 
     effects: Literal["all", "none"] | list[str] = "all"
@@ -283,6 +284,7 @@ class DiagnoseKeys(Strict):
     nodes: Annotated[int, Field(ge=500)] = NODES
     pairs: Annotated[int, Field(ge=0)] = PAIRS
     together: Annotated[int, Field(ge=1)] = TOGETHER
+    per: dict[str, str] = {}
 
     @field_validator("effects", mode="before")
     @classmethod

@@ -24,6 +24,7 @@ from .strict import checked
 from .study_design import Design, read_design
 from .study_keys import DiagnoseKeys, FitKeys, LayerStudyKeys, StudyKeys, TableKeys
 from .study_records import (
+    MEASUREMENT,
     Diagnose,
     Fit,
     ForceTable,
@@ -254,7 +255,26 @@ class StudyReader:
                     held.append(_held_out(by_name[one.measurement], one.where))
         form = {"deflection_profile": said.model_error.profile, "force_displacement": said.model_error.force}
         form |= {"spike_rate": said.model_error.rate}
-        return Diagnose(effects, tuple(held), form, said.placement_mm, said.nodes, Reach(said.pairs, said.together))
+        self._check_apart(said, measurements)
+        reach = Reach(said.pairs, said.together)
+        return Diagnose(effects, tuple(held), form, said.placement_mm, said.nodes, reach, dict(said.per))
+
+    def _check_apart(self, said: DiagnoseKeys, measurements: Sequence[Measurement]) -> None:
+        """Every row has to say whose amount of an effect it sees."""
+        for effect, column in said.per.items():
+            if column == MEASUREMENT:
+                continue
+            place = self.origin(("diagnose", "per", effect))
+            if column not in LABELS:
+                remedy = choose_from(column, [MEASUREMENT, *LABELS])
+                raise InputError("no column of labels", file=place[0], place=place[1], seen=column, remedy=remedy)
+            for one in measurements:
+                if column not in one.table:
+                    remedy = f"add the column to {one.file}, or take {effect} out of diagnose.per"
+                    raise InputError(
+                        f"rows of {one.name} do not say their {column}, by which {effect} differs", file=place[0], place=place[1],
+                        remedy=remedy,
+                    )  # fmt: skip
 
     def _design(self, keys: StudyKeys, fit: Fit) -> Design | None:
         if keys.design is None:

@@ -84,11 +84,15 @@ class Reach:
     together: int = TOGETHER
 
 
+MEASUREMENT = "measurement"  # what rows of one measurement have in common, where a column of labels may be named
+
+
 @dataclasses.dataclass(frozen=True)
 class Diagnose:
     """`effects`: `all`, `none`, or a tuple of names; `hold_out`: empty where whole conditions are held out
     in turn; `form`: by kind, the share of a reading that a model of the right effects may still be wrong by; `placement`: mm,
-    how well the place of an afferent is known; `nodes`: of the mesh that is fitted on, at most about so many.
+    how well the place of an afferent is known; `nodes`: of the mesh that is fitted on, at most about so many; `per`: effect -> column of
+    labels, or `measurement`, of which each has an amount of its own.
     """
 
     effects: str | tuple[str, ...] = "all"
@@ -97,6 +101,7 @@ class Diagnose:
     placement: float = PLACEMENT
     nodes: int = NODES
     reach: Reach = dataclasses.field(default_factory=Reach)
+    per: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

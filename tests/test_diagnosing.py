@@ -194,3 +194,25 @@ def test_units_of_readings_are_those_of_the_study(tmp_path: Path) -> None:
     assert subject.rows.units == {"plate": "N", "wedge": "mm"}
     assert subject.rows.conditions == ("plate", "wedge, 0.4 mm", "wedge, 0.7 mm", "wedge, 1 mm")
     assert bool(jnp.isfinite(jnp.asarray(subject.rows.measured)).all())
+
+
+def test_instruments_that_each_begin_too_early_have_offsets_of_their_own(tmp_path: Path) -> None:
+    offsets = {"plate": 0.08, "wedge": -0.05}
+    made = {name: laboratory(tmp_path, "contact_offset", size) for name, size in offsets.items()}
+    study = dataclasses.replace(
+        made["plate"],
+        measurements=tuple(made[name].measurement(name) for name in offsets),
+        diagnose=dataclasses.replace(made["plate"].diagnose or Diagnose(), per={"contact_offset": "measurement"}),
+    )
+    found = diagnose_study(study, effects=("contact_offset", "camera_scale"), sets=0)
+    assert (found.verdict.kind, list(found.verdict.families)) == ("attributed", ["contact_offset"])
+    for name, size in offsets.items():
+        low, high = found.record()["after"]["phi"][f"contact_offset.offset[{name}]"]["ci"]
+        assert low <= size <= high and low * high > 0
+
+
+def test_an_effect_that_differs_has_to_be_in_the_catalogue(tmp_path: Path) -> None:
+    study = laboratory(tmp_path, "contact_offset", 0.0)
+    wrong = dataclasses.replace(study, diagnose=dataclasses.replace(study.diagnose or Diagnose(), per={"contact_ofset": "measurement"}))
+    with pytest.raises(InputError, match="contact_ofset.*contact_offset"):
+        diagnose_study(wrong, effects=TRIED, sets=0)

@@ -68,6 +68,15 @@ def test_a_study_says_how_far_a_diagnosis_goes(folder):
         load(folder, STUDY + "  nodes: 10\n")
 
 
+def test_effects_may_differ_between_labels_that_every_row_has(folder):
+    said = next(iter(load(folder, STUDY + "  per: {contact_offset: measurement}\n").values())).diagnose
+    assert said.per == {"contact_offset": "measurement"}
+    with pytest.raises(InputError, match=r"diagnose\.per\.contact_offset.*subjet.*subject"):
+        load(folder, STUDY + "  per: {contact_offset: subjet}\n")
+    with pytest.raises(InputError, match="rows of .* do not say their stimulus"):
+        load(folder, STUDY + "  per: {contact_offset: stimulus}\n")
+
+
 def one(folder, old="", new="", **more):
     assert old in STUDY
     return load(folder, STUDY.replace(old, new, 1), **more)["study"]

@@ -12,11 +12,15 @@ from ..effects import catalogue, chosen
 from ..errors import InputError
 from ..forward import assemble, meshed
 from ..forward.shape import Tell, unheard
+from ..loop.apart import Apart
 from ..loop.calibrate import SETS
 from ..loop.diagnosis import diagnose
 from ..loop.record import Diagnosis
 from ..loop.refit import forget
+from ..loop.subject import AbstractSubject
+from ..spelling import choose_from
 from ..study import Diagnose, Study
+from .rows import labels_of
 from .subject import FingerSubject
 
 CHECKING = 45_000  # nodes of the finer one, at most
@@ -50,7 +54,9 @@ def diagnose_study(
     subject = subject_of(study, effects, folder, solver=solver, tell=lambda share, what: tell(0.2 * share, what))
     subject.tell = lambda share, what: tell(0.3 + 0.2 * share, what)
     reach = (study.diagnose or Diagnose()).reach
-    return diagnose(subject, seed=seed, sets=sets, tell=lambda share, what: tell(0.2 + 0.8 * share, what), kept=kept, reach=reach)
+    return diagnose(
+        parted(subject, study), seed=seed, sets=sets, tell=lambda share, what: tell(0.2 + 0.8 * share, what), kept=kept, reach=reach
+    )
 
 
 def subject_of(
@@ -77,6 +83,20 @@ def subject_of(
     if finer < CLOSE * size:
         subject.refine(said(size=finer, even=even), finer / size)
     return subject
+
+
+def parted(subject: FingerSubject, study: Study) -> AbstractSubject:
+    """The subject, with an amount for each label of those effects that the study says differ, where its data can show them.
+
+    **Raises** `InputError` for an effect that is not asked for, or that there is not.
+    """
+    per = (study.diagnose or Diagnose()).per
+    known = [*subject.effects, *subject.absent]
+    for name in per:
+        if name not in known:
+            raise InputError("no such effect", file=study.file, place="diagnose.per", seen=name, remedy=choose_from(name, known))
+    labels = {name: labels_of(study, column) for name, column in per.items() if name in subject.effects}
+    return Apart(subject, labels) if labels else subject
 
 
 def _nodes(study: Study, size: float, even: bool, tell: Tell = unheard) -> int:

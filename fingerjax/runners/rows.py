@@ -7,7 +7,7 @@ import numpy as np
 from ..loop.subject import Rows
 from ..measurements import Measurement
 from ..study import Study
-from ..study_records import Diagnose
+from ..study_records import MEASUREMENT, Diagnose
 
 LABELS = ("subject", "condition", "stimulus")
 IMPOSED = {"deflection_profile": ("depth",), "force_displacement": (), "spike_rate": ("depth", "force")}
@@ -48,6 +48,12 @@ def rows_of(study: Study) -> Rows:
         calibration=_placement(study, blocks, condition),
         form=_form(study, condition),
     )
+
+
+def labels_of(study: Study, column: str) -> np.ndarray:
+    """(rows,) text of a column of labels that every measurement has, or the measurement's name."""
+    named = [np.full(len(one), one.name) if column == MEASUREMENT else one.table[column] for one in study.measurements]
+    return np.concatenate([each.astype(str) for each in named])
 
 
 def _form(study: Study, condition: np.ndarray) -> np.ndarray:
