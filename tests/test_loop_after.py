@@ -241,7 +241,7 @@ SECTIONS = {
     "model": {"version", "mesh", "contact"},
     "base": {"theta", "rss", "df", "grad_rel", "lof", "error"},
     "critical": {"alpha", "maxT", "n_columns", "effective_tests", "null_fp_measured", "n_boot"},
-    "verdict": {"kind", "families", "share_explained", "remainder_p", "absorbed", "text"},
+    "verdict": {"kind", "families", "share_explained", "remainder_p", "absorbed", "text", "held_out_p"},
     "after": {"theta", "phi", "error", "theta_change_sd", "interval_kind"},
     "unexplained": {"gp", "symmetry", "spectrum"},
 }

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from loop_toy import FAMILIES, Toy, predicted
 
 from fingerjax.errors import InputError
 from fingerjax.loop.apart import Apart
 from fingerjax.loop.diagnosis import diagnose
-from tests.loop_toy import FAMILIES, Toy, predicted
 
 OFFSET = "force_offset.offset"
 CELLS = {"point": 0.008, "plate": -0.006}  # N, of each instrument's own load cell

@@ -32,7 +32,7 @@ from .sample import Sample
 from .score import Ranking, rank
 from .separate import Rival, next_experiments
 from .subject import NONE, AbstractSubject, Family
-from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, out_of_the_mesh, with_nearest
+from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, out_of_the_mesh, with_held_out, with_nearest
 from .writing import written
 
 ASTRAY = math.log(3.0)  # of the logarithm of a modulus: farther from where the study began a fit may imitate what is missing
@@ -89,6 +89,11 @@ def investigate(
     inquiry.tell = _part(tell, 0.7, 0.1)
     closest = nearest(inquiry, [*singles, *pairs]) if verdict.kind == UNEXPLAINED else None
     verdict = with_nearest(verdict, closest)
+    if best.settled:
+        last = verdict.members[0].best if verdict.members else best
+        unseen = [condition for condition, role in roles.items() if role == "report"]
+        report = heldout.in_role(subject.rows, roles, "report")
+        verdict = with_held_out(verdict, heldout.foretold(last, report, noise.dof), unseen)
     tell(0.8, "what to measure next")
     after = next_experiments(best, _rivals(base, verdict, singles), columns) if best.settled else []
     alarms, grown = _checked(base, families, columns, noise, mesh, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))

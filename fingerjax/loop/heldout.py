@@ -6,15 +6,18 @@ Whole conditions are held out, never points of one: neighbours of a fitted point
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
 from ..errors import InputError
 from .refit import Optimum
 from .subject import Rows
 from .whitening import Projection, Whitener
 
+ALPHA = 1e-3  # probability by chance below which conditions that nothing has seen speak against a model
 ENOUGH = 4  # conditions of a block from which on one of them can be spared
 WORSE = 9.0  # chi-square by which an effect may make held-out conditions worse
 
@@ -51,6 +54,37 @@ def veto(base: Optimum, other: Optimum, held: Bool[np.ndarray, "rows"]) -> float
     if len(turns) < 2 and not held.any():
         return math.nan
     return sum(surprise(other, turn) - surprise(base, turn) for turn in turns)
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """How well conditions that nothing has seen are foretold.
+
+    - `times`: root mean square of their misfit over what noise and the fit's own uncertainty allow; `p`: of so much by chance.
+    """
+
+    times: float
+    p: float
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether they speak against the model."""
+        return self.p < ALPHA
+
+
+def foretold(best: Optimum, held: Bool[np.ndarray, "rows"], dof: float) -> Foretold | None:
+    """A fit against rows that it did not see: of each setting the mean of its repeats. None where there are no such rows.
+
+    `dof`: degrees of freedom of the noise.
+    """
+    if not held.any():
+        return None
+    error, slopes, spread = leave_out(best, held)
+    whiten = Whitener.of(best.sample.covariance[np.ix_(held, held)] + slopes[held] @ spread @ slopes[held].T)
+    numbers = np.unique(best.sample.subject.rows.setting[held], return_inverse=True)[1].reshape(-1)
+    means, _ = np.linalg.qr(whiten(np.eye(numbers.max() + 1)[numbers]))
+    times = float(np.mean((means.T @ whiten(error[held])) ** 2))
+    return Foretold(math.sqrt(times), float(stats.f.sf(times, means.shape[1], dof if math.isfinite(dof) else 1e9)))
 
 
 def surprise(best: Optimum, turn: Bool[np.ndarray, "rows"]) -> float:

@@ -242,6 +242,7 @@ class VerdictRecord:
     remainder_p: float
     absorbed: list[Absorbed]
     text: str
+    held_out_p: float | None = None
 
 
 @dataclass(frozen=True)

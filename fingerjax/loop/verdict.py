@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from .adequacy import Look
 from .explanations import Explanation, ahead_of, main
+from .heldout import Foretold
 from .meshguard import MeshGuard
 from .noise import Noise
 from .score import Score
@@ -14,6 +16,7 @@ from .score import Score
 ADEQUATE, ATTRIBUTED, AMBIGUOUS, MAINLY = "adequate", "attributed", "ambiguous", "mainly"
 TWO, UNEXPLAINED, NOT_TESTABLE, MESH_LIMITED, NOISE_UNKNOWN = "two effects", "unexplained", "not testable", "mesh-limited", "noise unknown"
 KINDS = (ADEQUATE, ATTRIBUTED, AMBIGUOUS, MAINLY, TWO, UNEXPLAINED, NOT_TESTABLE, MESH_LIMITED, NOISE_UNKNOWN)
+LISTED = 4  # conditions that are named, at most
 FEWEST = 3.0  # settings more than parameters, below which nothing can be tested
 
 
@@ -23,7 +26,8 @@ class Verdict:
 
     - `kind`: one of `KINDS`. `members`: the explanations that remain, best first; none where nothing is named.
     - `share`: of the excess misfit that the first of them removes; `remainder_p`: least p value of what is left.
-    - `absorbed`: effects that these data could not show.
+    - `absorbed`: effects that these data could not show. `held_out_p`: of what was held out and touched by nothing, under the first of
+      them, or under the base; None where nothing was.
     """
 
     kind: str
@@ -32,6 +36,7 @@ class Verdict:
     remainder_p: float
     absorbed: tuple[Score, ...]
     text: str
+    held_out_p: float | None = None
 
     @property
     def names(self) -> list[str]:
@@ -67,6 +72,20 @@ def with_nearest(verdict: Verdict, nearest: Explanation | None) -> Verdict:
     comes = f"The catalogue comes nearest with {' and '.join(nearest.families)} ({sizes(nearest)})"
     how_far = f"which remove {min(nearest.eta, 1.0):.1%} of the misfit beyond the noise"
     return replace(verdict, text=f"{verdict.text} {comes}, {how_far}{_against(nearest)}. That does not make them the missing effects.")
+
+
+def with_held_out(verdict: Verdict, seen: Foretold | None, conditions: Sequence[str]) -> Verdict:
+    """With what `conditions` that nothing has seen say of a model that is found to be enough; they choose nothing."""
+    if seen is None:
+        return verdict
+    if not seen.contradicted or verdict.kind not in (ADEQUATE, ATTRIBUTED, AMBIGUOUS, MAINLY, TWO):
+        return replace(verdict, held_out_p=seen.p)
+    listed = ", ".join(conditions[:LISTED]) + (f" and {len(conditions) - LISTED} more" if len(conditions) > LISTED else "")
+    says = (
+        f"But what was held out ({listed}) speaks against it: it is missed by {seen.times:.2g} times what noise and the fit allow. "
+        "Something is missing, or is another effect than this, that the fitted conditions do not show."
+    )
+    return replace(verdict, text=f"{verdict.text} {says}", held_out_p=seen.p)
 
 
 def _against(nearest: Explanation) -> str:

@@ -42,6 +42,7 @@ def written(found: Findings) -> record.Diagnosis:
             verdict.remainder_p,
             [record.Absorbed(score.family.name, score.imitation) for score in verdict.absorbed],
             verdict.text,
+            verdict.held_out_p,
         ),
         after=_after(found),
         unexplained=unexplained.picture(found.last.best) if found.base.best.settled else None,
