@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 
 from benchmarks._record import Figure, at_least, at_most
@@ -20,6 +21,8 @@ TIMES, SHARE = 3.0, 0.10
 
 LEAST = "held-out forces, least error of a model that was fitted"
 SHARED = "held-out forces, error of curves that subjects share up to a factor"
+SHIFTED = "held-out forces, error of curves that subjects share up to a factor and a depth"
+STIFF = 1e-2  # N by which each unit of a curve's second difference, in the logarithm, counts; shifts count so in each 0.3 mm
 
 
 def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
@@ -32,6 +35,8 @@ def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
     yield from _least(study, findings)
     yield Figure(f"{study.name}: {SHARED}", shared_curves(study, findings, told=False), "1", note="any curve of an indenter")
     yield Figure(f"{study.name}: {SHARED}, fitted to these too", shared_curves(study, findings, told=True), "1")
+    yield Figure(f"{study.name}: {SHIFTED}", shifted_curves(study, findings, told=False), "1", note="any smooth curve of an indenter")
+    yield Figure(f"{study.name}: {SHIFTED}, fitted to these too", shifted_curves(study, findings, told=True), "1")
 
 
 def _least(study: Study, findings: Findings) -> Iterator[Figure]:
@@ -92,7 +97,7 @@ def shared_curves(study: Study, findings: Findings, *, told: bool) -> float:
 
     How well subjects foretell each other at all, whatever fingers are made of. With `told` the held-out forces are fitted too.
     """
-    force, subject, curve, kept = (np.concatenate(each) for each in zip(*_forces(study, findings), strict=True))
+    force, subject, curve, kept, _, _ = (np.concatenate(each) for each in zip(*_forces(study, findings), strict=True))
     curve, subject = (np.unique(each, return_inverse=True)[1].reshape(-1) for each in (curve, subject))
     use, subjects = np.ones(len(force), bool) if told else ~kept, int(subject.max()) + 1
 
@@ -104,12 +109,44 @@ def shared_curves(study: Study, findings: Findings, *, told: bool) -> float:
     return _left(force[kept], foretold(found.x)[kept])
 
 
+def shifted_curves(study: Study, findings: Findings, *, told: bool) -> float:
+    """The same where each subject's curves may also begin at a depth of their own: force = factor x curve(depth + shift).
+
+    Curves are monotone cubics through the logarithm of force at some depths; what bends them or shifts them counts a little.
+    """
+    force, subject, _, kept, depth, indenter = (np.concatenate(each) for each in zip(*_forces(study, findings), strict=True))
+    subject, indenter = (np.unique(each, return_inverse=True)[1].reshape(-1) for each in (subject, indenter))
+    use, others, curves = np.ones(len(force), bool) if told else ~kept, int(subject.max()), int(indenter.max()) + 1
+    knots = np.log(np.concatenate([[0.5 * depth.min()], np.unique(np.round(depth, 1)), [depth.max() + 0.5]]))
+
+    def foretold(x: np.ndarray) -> np.ndarray:
+        factor, shift, shapes = (np.append(0.0, x[:others])[subject], np.append(0.0, x[others : 2 * others])[subject], _shapes(x))
+        at = np.log(np.maximum(depth + shift, 0.1 * depth.min()))
+        along = np.zeros(len(force))
+        for number, shape in enumerate(shapes):
+            here = indenter == number
+            along[here] = PchipInterpolator(knots, shape, extrapolate=True)(at[here])
+        return np.exp(factor + along)
+
+    def _shapes(x: np.ndarray) -> np.ndarray:
+        return x[2 * others :].reshape(curves, len(knots))
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        bends = np.diff(_shapes(x), 2, axis=1).ravel()
+        return np.concatenate([(foretold(x) - force)[use], STIFF * x[others : 2 * others] / 0.3, 0.1 * STIFF * bends])
+
+    level = [np.log(force[indenter == number].max()) + 2 * (knots - np.log(depth.max())) for number in range(curves)]
+    found = least_squares(residual, np.concatenate([np.zeros(2 * others), *level]))
+    return _left(force[kept], foretold(found.x)[kept])
+
+
 def _forces(study: Study, findings: Findings) -> Iterator[tuple[np.ndarray, ...]]:
-    """Of each measurement of force: forces, subjects, indenter and depth, and whether they were held out."""
+    """Of each measurement of force: forces, subjects, indenter with depth, whether they were held out, depths in mm, and indenter."""
     rows = findings.subject.rows
     held = heldout.in_role(rows, dict(findings.roles), "report")
     for one in study.measurements:
         if one.kind == "force_displacement":
             where = np.arange(len(rows))[rows.blocks[one.name]]
             curve = np.array([f"{one.name} {depth:.3f}" for depth in one.table["displacement"]])
-            yield rows.measured[where], one.table["subject"].astype(str), curve, held[where]
+            depth, name = np.asarray(one.table["displacement"], float), np.full(len(one), one.name)
+            yield rows.measured[where], one.table["subject"].astype(str), curve, held[where], depth, name
