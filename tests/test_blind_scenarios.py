@@ -13,7 +13,7 @@ from fingerjax.runners.rows import rows_of
 from fingerjax.study import load_studies
 from tests.blind import bricks, folders, truths
 from tests.blind.laboratory import Profiles
-from tests.blind.protocol import Elastic, Rig, Sweep, Trace
+from tests.blind.protocol import Elastic, Rig, Sweep, Trace, elastic
 from tests.blind.scenarios import EFFECTS, KINDS, SCENARIOS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -208,3 +208,12 @@ def test_the_program_reads_no_truth_and_no_blind_laboratory():
     for path in (ROOT / "fingerjax").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         assert "truth.yaml" not in text and "tests.blind" not in text and "moduli_scored" not in text, path
+
+
+def test_leaning_plates_touch_skin_whose_bricks_are_fine_enough():
+    """A plate that leans touches the skin away from the site, where a laboratory's bricks are long."""
+    world = SCENARIOS["indenter_tilt"].world(thin=True)
+    pressed = tuple(record for record in world.records if record.name == "plate_force")
+    finer = replace(world.flesh, divisions=replace(world.flesh.divisions, reach=6.5))
+    forces = [elastic(flesh, world.rig, pressed).curves["plate_force"][1] for flesh in (world.flesh, finer)]
+    np.testing.assert_allclose(forces[0], forces[1], rtol=0.02, atol=0.01 * forces[1].max())

@@ -433,3 +433,12 @@ def test_a_parameter_at_its_limit_is_declared() -> None:
     found = diagnose(toy, sets=0)
     assert found.base.theta["deep.modulus"].at_limit == "lower"
     assert math.isnan(found.base.theta["deep.modulus"].ci[0])
+
+
+def test_an_effect_that_only_the_shape_of_a_small_misfit_gives_away_is_not_said_to_remove_nothing() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.08}, families=tuple(one for one in FAMILIES if one.name == "contact_offset"))
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+    whole = decide(found.noise, found.mesh, found.base, found.explanations, [], ())
+    assert "removes" in whole.text
+    small = decide(found.noise, found.mesh, found.base, [dataclasses.replace(one, eta=0.0) for one in found.explanations], [], ())
+    assert small.kind == "attributed" and "lowers the squared misfit by" in small.text and "0%" not in small.text

@@ -176,6 +176,8 @@ def _named(kind: str, members: tuple[Explanation, ...]) -> str:
     first = members[0]
     sized = f"{first.name} ({sizes(first)})"
     removes = f"removes {min(first.eta, 1.0):.0%} of the misfit beyond the noise"
+    if first.eta == 0.0:  # the misfit is no larger than the noise; its shape gave it away
+        removes = f"lowers the squared misfit by {first.delta:.3g} where chance would by {first.needed:.3g}"
     if kind == ATTRIBUTED:
         return f"The model lacks {sized}: with it alone nothing is left to be explained, and it {removes}."
     if kind == MAINLY:

@@ -121,6 +121,11 @@ def _rig(**changes: Any) -> Alteration:
     return lambda world: replace(world, rig=replace(world.rig, **changes))
 
 
+def _leaning(degrees: float) -> Alteration:
+    """Plates lean, and so touch the skin farther from the site."""
+    return lambda world: _rig(tilt=degrees)(_flesh(reach=world.flesh.reach + 1.5)(world))
+
+
 def _instruments(**changes: Any) -> Alteration:
     return lambda world: replace(world, instruments=replace(world.instruments, **changes))
 
@@ -157,7 +162,7 @@ EFFECTS: dict[str, tuple[str, Alteration]] = {
     "contact_offset": ("human", _rig(late=0.05)),
     "apparatus_compliance": ("human", _rig(frame=0.8)),
     "indenter_shift": ("human", _rig(slide=0.12, slide_per_mm=0.03)),
-    "indenter_tilt": ("human", _rig(tilt=9.0)),
+    "indenter_tilt": ("human", _leaning(5.0)),
     "tip_radius": ("human", _rig(blunt=0.5)),
     "friction": ("human", _rig(friction=0.8)),
     "adhesion": ("human", _rig(sticky=(1.2e-3, 0.05))),

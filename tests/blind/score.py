@@ -275,6 +275,7 @@ def _strangers(outcomes: Sequence[Outcome]) -> list[Line]:
     return [
         share("outside the catalogue: detected", outside, lambda one: one.rejected),
         share("outside the catalogue, detected: unexplained", [one for one in outside if one.rejected], _unexplained),
+        share("outside the catalogue: an effect named", outside, lambda one: bool(one.named), (0.0, 0.05)),
         share("outside the catalogue, lambda >= 40: an effect named", strong, lambda one: bool(one.named), (0.0, 0.02)),
         share("taken up by the moduli: listed as absorbed, nothing named", absorbed, _listed, (1.0, 1.0)),
         share("mesh too coarse: said to be", coarse, lambda one: one.verdict == "mesh limited", (1.0, 1.0)),
