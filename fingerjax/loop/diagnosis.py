@@ -93,7 +93,7 @@ def investigate(
         last = verdict.members[0].best if verdict.members else best
         unseen = [condition for condition, role in roles.items() if role == "report"]
         report = heldout.in_role(subject.rows, roles, "report")
-        verdict = with_held_out(verdict, heldout.foretold(last, report, noise.dof), unseen)
+        verdict = with_held_out(verdict, heldout.foretold(last, report), unseen)
     tell(0.8, "what to measure next")
     after = next_experiments(best, _rivals(base, verdict, singles), columns) if best.settled else []
     alarms, grown = _checked(base, families, columns, noise, mesh, sets if best.settled else 0, seed, _part(tell, 0.85, 0.15))

@@ -18,6 +18,7 @@ from .subject import Rows
 from .whitening import Projection, Whitener
 
 ALPHA = 1e-3  # probability by chance below which conditions that nothing has seen speak against a model
+CERTAIN = 1e9  # degrees of freedom of a noise that is taken at its word
 ENOUGH = 4  # conditions of a block from which on one of them can be spared
 WORSE = 9.0  # chi-square by which an effect may make held-out conditions worse
 
@@ -72,10 +73,10 @@ class Foretold:
         return self.p < ALPHA
 
 
-def foretold(best: Optimum, held: Bool[np.ndarray, "rows"], dof: float) -> Foretold | None:
+def foretold(best: Optimum, held: Bool[np.ndarray, "rows"]) -> Foretold | None:
     """A fit against rows that it did not see: of each setting the mean of its repeats. None where there are no such rows.
 
-    `dof`: degrees of freedom of the noise.
+    The noise counts as known no better than that of the block of which least is known.
     """
     if not held.any():
         return None
@@ -84,7 +85,8 @@ def foretold(best: Optimum, held: Bool[np.ndarray, "rows"], dof: float) -> Foret
     numbers = np.unique(best.sample.subject.rows.setting[held], return_inverse=True)[1].reshape(-1)
     means, _ = np.linalg.qr(whiten(np.eye(numbers.max() + 1)[numbers]))
     times = float(np.mean((means.T @ whiten(error[held])) ** 2))
-    return Foretold(math.sqrt(times), float(stats.f.sf(times, means.shape[1], dof if math.isfinite(dof) else 1e9)))
+    dof = min(best.sample.freedom[name] for name in set(best.sample.subject.rows.block[held].tolist()))
+    return Foretold(math.sqrt(times), float(stats.f.sf(times, means.shape[1], min(dof, CERTAIN))))
 
 
 def surprise(best: Optimum, turn: Bool[np.ndarray, "rows"]) -> float:
