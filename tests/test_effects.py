@@ -263,6 +263,11 @@ def context(time: np.ndarray, displacement: np.ndarray) -> Context:
     return Context(table, rows, jnp.asarray(previous), jnp.zeros(len(time), int), "ramp", "force_displacement", False)
 
 
+@pytest.mark.parametrize(("time", "since"), [([2.0, 4.0, 6.0], [2.0, 4.0, 6.0]), ([900.0, 902.0, 904.0], [0.0, 2.0, 4.0]), ([3.0], [0.0])])
+def test_a_trace_begins_at_its_clocks_zero_unless_that_is_a_sessions(time: list[float], since: list[float]) -> None:
+    np.testing.assert_array_equal(context(np.array(time), np.zeros(len(time))).since_start(), since)
+
+
 def test_relaxation_of_a_ramp_and_hold_is_its_convolution() -> None:
     relaxation = next(effect for effect in catalogue() if effect.name == "relaxation")
     time = np.array([0.0, 0.1, 0.25, 0.4, 1.0, 2.0, 5.0])

@@ -74,9 +74,14 @@ class Context(eqx.Module):
         return jnp.where(span > 0, self.step(given) / jnp.where(span > 0, span, 1.0), 0.0)
 
     def since_start(self) -> Float[Array, " r"]:
-        """Seconds since the first row of the trace."""
-        start = jnp.full(len(self.trace), jnp.inf).at[self.trace].min(self.table["time"])
-        return self.table["time"] - start[self.trace]
+        """Seconds since the trace began: at its clock's zero, unless the first row is later after that than the trace is long, as by the
+        clock of a session; then at the first row.
+        """
+        time = self.table["time"]
+        first = jnp.full(len(self.trace), jnp.inf).at[self.trace].min(time)
+        length = jnp.full(len(self.trace), -jnp.inf).at[self.trace].max(time) - first
+        begun = jnp.where((first >= 0) & (first <= length), 0.0, first)
+        return time - begun[self.trace]
 
     def fading(self, given: Float[Array, " r"], time: Float[Array, ""], *, from_rest: bool) -> Float[Array, " r"]:
         """What is left of a quantity's changes when each of them fades as exp(-t/time); linear between rows.
