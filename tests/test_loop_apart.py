@@ -85,6 +85,14 @@ def test_amounts_that_are_alike_are_found_once():
     np.testing.assert_array_equal(found.phi_jacobian.sum(axis=1), shared.phi_jacobian[:, 0])
 
 
+def test_as_many_amounts_as_rows_have_labels_are_found_in_so_many_evaluations():
+    toy = Toy(repeats=40)
+    apart, raw = Apart(toy, {"force_offset": toy.rows.trial}), raw_of(toy)
+    before = toy.evaluations
+    apart.evaluate(raw, {f"{OFFSET}[{trial}]": 1e-4 * (1 + trial) for trial in range(40)}, ())
+    assert toy.evaluations == before + 40
+
+
 def test_the_mesh_is_asked_with_each_rows_own_amount():
     toy = Toy(mesh=0.05)
     apart, raw = by_block(toy), raw_of(toy)

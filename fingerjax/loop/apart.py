@@ -126,12 +126,11 @@ class Apart(AbstractSubject):
         for key, value in phi.items():
             if key in self._meant:
                 whole, own = self._meant[key]
-                seen = [part for rows, amounts in seen for part in ((rows & own, amounts | {whole: value}), (rows & ~own, amounts))]
+                split = [part for rows, amounts in seen for part in ((rows & own, amounts | {whole: value}), (rows & ~own, amounts))]
+                seen = [part for part in split if part[0].any()]
         merged: list[Part] = []
         for rows, amounts in seen:
             like = next((number for number, (_, other) in enumerate(merged) if other == amounts), None)
-            if not rows.any():
-                continue
             if like is None:
                 merged.append((rows, amounts))
             else:
