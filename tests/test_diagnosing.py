@@ -22,7 +22,7 @@ from fingerjax.forward.strained import Strained
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.loop.diagnosis import diagnose
 from fingerjax.runners import diagnosing
-from fingerjax.runners.diagnosing import diagnose_study, subject_of
+from fingerjax.runners.diagnosing import diagnose_study, parted, subject_of
 from fingerjax.runners.subject import FingerSubject
 from fingerjax.study import Diagnose, Study
 
@@ -216,3 +216,6 @@ def test_an_effect_that_differs_has_to_be_in_the_catalogue(tmp_path: Path) -> No
     wrong = dataclasses.replace(study, diagnose=dataclasses.replace(study.diagnose or Diagnose(), per={"contact_ofset": "measurement"}))
     with pytest.raises(InputError, match="contact_ofset.*contact_offset"):
         diagnose_study(wrong, effects=TRIED, sets=0)
+    other = dataclasses.replace(study, diagnose=dataclasses.replace(study.diagnose or Diagnose(), per={"nail_compliance": "measurement"}))
+    subject = subject_of(other, ("contact_offset",))
+    assert parted(subject, other) is subject  # one that is not asked for this time is no error

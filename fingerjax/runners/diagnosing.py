@@ -67,8 +67,15 @@ def subject_of(
     solver: str = "auto",
     tell: Tell = unheard,
 ) -> FingerSubject:
-    """A study made ready for the loop, on two meshes: its own, or an even one with fewer nodes, and one of the same kind that is finer."""
-    asked = chosen(effects, catalogue(folder))
+    """A study made ready for the loop, on two meshes: its own, or an even one with fewer nodes, and one of the same kind that is finer.
+
+    **Raises** `InputError` for an effect that there is not, asked for or said to differ between labels.
+    """
+    there = catalogue(folder)
+    asked, known = chosen(effects, there), [effect.name for effect in there]
+    for name in (study.diagnose or Diagnose()).per:
+        if name not in known:
+            raise InputError("no such effect", file=study.file, place="diagnose.per", seen=name, remedy=choose_from(name, known))
     said = functools.partial(assemble, study, solver=solver)
     if study.finger.mesh is not None:
         return FingerSubject(said(tell=tell), asked, solver=solver)
@@ -86,15 +93,8 @@ def subject_of(
 
 
 def parted(subject: FingerSubject, study: Study) -> AbstractSubject:
-    """The subject, with an amount for each label of those effects that the study says differ, where its data can show them.
-
-    **Raises** `InputError` for an effect that is not asked for, or that there is not.
-    """
+    """The subject, with an amount for each label of those effects that the study says differ, where they are asked for and can be seen."""
     per = (study.diagnose or Diagnose()).per
-    known = [*subject.effects, *subject.absent]
-    for name in per:
-        if name not in known:
-            raise InputError("no such effect", file=study.file, place="diagnose.per", seen=name, remedy=choose_from(name, known))
     labels = {name: labels_of(study, column) for name, column in per.items() if name in subject.effects}
     return Apart(subject, labels) if labels else subject
 
