@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 
 import numpy as np
@@ -185,6 +186,15 @@ def test_the_table_counts():
     assert lines["held-out error removed"].value == pytest.approx(0.75)
     assert lines["moduli within their intervals after"].value == 0.5
     assert np.isnan(lines["no effect: an effect named"].value)
+
+
+def test_what_is_foretold_better_is_also_counted_for_single_effects_alone():
+    one = score.judge(report(), truth())
+    two = dataclasses.replace(one, kind="double", held_out=(0.3, 0.3))
+    unnamed = dataclasses.replace(one, named=(), held_out=(0.9, 0.9))
+    lines = {line.name: line for line in score.table([one, two, unnamed])}
+    assert lines["one effect: held-out error removed"].value == pytest.approx(0.75)
+    assert lines["held-out error removed"].value == pytest.approx(1 - 0.325 / 0.4)
 
 
 def test_figures_say_goals_and_leave_out_what_was_not_seen():
