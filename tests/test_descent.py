@@ -30,6 +30,18 @@ class Curve:
         return np.stack([value, -np.exp(x[1]) * T * value], axis=1)
 
 
+class Counted(Curve):
+    """The same beside data that it nearly meets, its Jacobians counted."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.data, self.slopes = 30.0 * np.exp(-0.5 * T) + 2.0 * np.cos(3.0 * T), 0
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        self.slopes += 1
+        return super().jacobian(x)
+
+
 def test_a_large_residual_does_not_slow_the_search() -> None:
     curve = Curve()
     found, reached = descend(curve.residual, curve.jacobian, np.array([0.0, 0.0]), *FAR, NEAR)
@@ -96,3 +108,27 @@ def test_a_step_to_where_there_are_no_slopes_is_refused() -> None:
 
     found, reached = descend(curve.residual, jacobian, np.array([-2.0, 0.0]), *FAR, NEAR)
     assert not reached and found[0] < 0.2 and np.isfinite(curve.residual(found)).all()
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (-2.0, 1.0), (1.0, -1.5)])
+def test_dear_slopes_are_asked_for_seldom_and_the_end_is_the_same(start: tuple[float, float]) -> None:
+    found, asked = [], []
+    for dear in (False, True):
+        curve = Counted()
+        where, reached = descend(curve.residual, curve.jacobian, np.array(start), *FAR, 1e-3, dear=dear)
+        asked.append(curve.slopes)
+        true, typical = Curve.jacobian(curve, where), np.linalg.norm(curve.residual(where)) / np.sqrt(len(T))
+        assert reached and np.linalg.norm(np.linalg.qr(true)[0].T @ curve.residual(where)) < 1e-3 * typical, "an optimum by true slopes"
+        found.append(where)
+    assert found[1] == pytest.approx(found[0], abs=1e-3) and asked[1] < asked[0]
+
+
+def test_a_point_reached_on_trust_that_has_no_slopes_is_left() -> None:
+    curve = Curve()
+    curve.data = 30.0 * np.exp(-0.5 * T)  # at (-0.29, -0.69)
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return curve.jacobian(x) if x[0] < -0.4 else np.full((len(T), 2), np.nan)
+
+    found, reached = descend(curve.residual, jacobian, np.array([-1.0, -0.5]), *FAR, 1e-3, dear=True)
+    assert not reached and np.isfinite(curve.residual(found)).all()

@@ -104,6 +104,14 @@ def test_both_ways_of_asking_for_slopes_agree(ready: Assembled, known: Strained)
     assert again.cases is known.cases
 
 
+def test_what_moves_nothing_has_no_slopes_and_asks_for_no_tangent(ready: Assembled, known: Strained) -> None:
+    chords = Chords()
+    rows, found = strained_slopes(ready.model, lambda at: of(HERE), jnp.ones(2), known, chords=chords)
+    assert rows.shape == (len(known.prediction.readings[0]), 2) and not np.any(rows)
+    assert all(slope.shape == (2, ready.model.body.nodes.size) and not np.any(slope) for rig in found.slopes for slope in rig)
+    assert chords.find((0, 0), ready.model.body, place_of(ready.model, ready.model.instruments.rigs[0], 0)[0]) is None
+
+
 @pytest.mark.slow
 def test_a_glance_is_an_evaluation_without_derivatives(ready: Assembled) -> None:
     subject = FingerSubject(ready, chosen(("finite_strain",), catalogue()))

@@ -176,13 +176,16 @@ def _shape_slopes(
     What touches goes on touching: the tangent answers a unit of each pressure there, and every change of the internal force.
     """
     model, rig, rests, times, first = shape.model, shape.rig, shape.rests, shape.times, shape.of[1]
+    count, matrix, felt = d + len(bodies), model.columns.matrix(), {case: _felt(ways[case].material) for case in rests}
+    if not (bodies or any(len(felt[case]) or np.any(ways[case].imposed) or np.any(ways[case].series) for case in rests)):
+        for case, rest in rests.items():  # an afferent's own parameters move nothing
+            yield case, (np.zeros((count, model.columns.count + 2)), np.zeros((count, rest.displacement.size)))
+        return
     place, _ = place_of(model, rig, int(rig.pose[first]))
     active = {case: np.asarray(rest.contact.active) for case, rest in rests.items()}
     touching = np.flatnonzero(np.any(list(active.values()), axis=0))
     hats, area = place.matrix @ np.asarray(place.interface.load)[:, touching], np.asarray(place.interface.area)[touching]
     own = {case: shape.tissues[int(rig.variant[case])] for case in rests}
-    felt = {case: _felt(ways[case].material) for case in rests}
-    count, matrix = d + len(bodies), model.columns.matrix()
     pushing = {case: np.append(felt[case], np.arange(d, count)) for case in rests}
     pushes = [_pushes(own[case], ways[case].material, felt[case], bodies, rest.displacement) for case, rest in rests.items()]
     tissue, loads = own[first], np.concatenate([hats.T, *(-push for push in pushes)])
@@ -282,7 +285,7 @@ def _pushes(
 ) -> Float[np.ndarray, "f_b _"]:
     """Change of the internal force (3n,), N, at a displacement (3n,), mm, with some of the parameters, then towards other bodies."""
     some, field, lame = jax.tree.map(lambda leaf: leaf[felt], ways), jnp.asarray(u).reshape(-1, 3), jnp.asarray(tissue.lame)
-    found = [np.asarray(_forces(tissue.body, tissue.law, some, lame, field)).reshape(len(felt), -1)]
+    found = [np.asarray(_forces(tissue.body, tissue.law, some, lame, field)).reshape(len(felt), u.size)]
     found += [np.asarray(towards(tissue.law, lame, tissue.body, other, field)).reshape(1, -1) for other in bodies]
     return np.concatenate(found)
 

@@ -122,5 +122,5 @@ def _worth_planting(base: Look) -> Sequence[Score]:
 def _grown(base: Look, score: Score) -> Float[np.ndarray, "rows"] | None:
     """What an effect adds to the prediction; None where the model has no answer."""
     column, best = score.nodes[0].columns[0], base.best
-    at = best.sample.subject.evaluate(best.raw, {column.key: column.null + _size(base, score)}, ())
+    at = best.sample.subject.value(best.raw, {column.key: column.null + _size(base, score)})
     return at.prediction - best.at.prediction if at.usable else None

@@ -5,6 +5,9 @@ crawl. S is learned from the steps (Dennis, Gay & Welsch 1981, ACM Trans. Math. 
 than its absence; a step that leads up is damped (Levenberg 1944).
 
     minimise  g's + s'(J'J + S + d D)s / 2     inside the box,      g = J'r
+
+Where slopes cost far more than values, a step that kept its word is followed by others along slopes that are turned just so far that they
+agree with what it brought (Broyden 1965, Math. Comput. 19, 577). A search ends on true ones.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ PROBE = 0.1  # of a step, where the model has no answer at its end
 FAR, CRAWL, PATIENCE = 2.0, 1e-3, 5
 EDGE, OFTEN = 1.0, 6  # standard errors that steps may promise in vain, and how often, until a search ends: it is on an edge
 STUCK = 1e-7  # share of the sum of squares that says of two steps in turn that there is no getting on
+AWRY, ON_TRUST = 0.25, 3  # how far from 1 the gain of a step may be to turn slopes by, and how many steps in turn may go by such
 LEAST = 1e-3  # share of the Gauss-Newton curvature that is kept in every direction, whatever S says
 
 Residual = Callable[[np.ndarray], np.ndarray]
@@ -36,11 +40,12 @@ Residual = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A point x (q,) with its residual (n,) and Jacobian (n, q)."""
+    """A point x (q,) with its residual (n,) and Jacobian (n, q), the true one or one that so many steps have turned."""
 
     x: Float[np.ndarray, "q"]
     residual: Float[np.ndarray, "n"]
     jacobian: Float[np.ndarray, "n q"]
+    turned: int = 0
 
     @property
     def gradient(self) -> Float[np.ndarray, "q"]:
@@ -64,6 +69,8 @@ def descend(
     upper: Float[np.ndarray, "q"],
     near: float,
     enough: float = math.inf,
+    *,
+    dear: bool = False,
 ) -> tuple[Float[np.ndarray, "q"], bool]:
     """The optimum from a start inside the bounds, and whether it was reached; else the best point that was seen.
 
@@ -71,17 +78,20 @@ def descend(
     that crawls far from the data is given up, and so is one that does not promise to come below `enough`, the sum of squares that is asked
     for.
 
-    `residual` gives NaN where the model has no answer: such a step is refused.
+    `residual` gives NaN where the model has no answer: such a step is refused. `dear`: a Jacobian costs far more than a residual.
     """
-    here = Place(x, residual(x), jacobian(x))
+    here = sure = Place(x, residual(x), jacobian(x))
     turning, damping, trusted = np.zeros((len(x), len(x))), FIRST, False
     slow = stuck = hopeless = vain = 0
     for _ in range(STEPS):
         ways = movable(here, lower, upper, near)
         promised = float(np.linalg.norm(Projection.of(here.jacobian[:, ways]).basis.T @ here.residual))
         if promised < near * here.typical:
-            return here.x, True
-        hopeless = hopeless + 1 if here.squares - promised**2 > enough else 0
+            if not here.turned:
+                return here.x, True
+            here, damping = _sure(here, sure, jacobian, damping)
+            continue
+        hopeless = hopeless + (not here.turned) if here.squares - promised**2 > enough else 0
         if slow == PATIENCE or stuck == 2 or hopeless == PATIENCE or vain == OFTEN:
             break
         believed = turning if trusted else np.zeros_like(turning)
@@ -89,7 +99,10 @@ def descend(
         after = np.clip(here.x + step, lower, upper)
         moved = residual(after)
         gain = _gain(here, step, believed, moved)
-        if gain < BENT and (bent := _bent(here, step, moved, believed, damping, residual)) is not None:
+        if gain < 0 and here.turned:
+            here, damping = _sure(here, sure, jacobian, damping)
+            continue
+        if gain < BENT and not here.turned and (bent := _bent(here, step, moved, believed, damping, residual)) is not None:
             other = np.clip(here.x + bent, lower, upper)
             beyond = residual(other)
             if np.isfinite(beyond).all() and not beyond @ beyond >= min(here.squares, moved @ moved if gain >= 0 else np.inf):
@@ -100,13 +113,29 @@ def descend(
         slow = slow + 1 if crawls and here.typical > FAR else 0
         stuck = stuck + 1 if abs(float(moved @ moved) - here.squares) < STUCK * here.squares else 0
         if gain >= 0:
-            there = Place(after, moved, jacobian(after))
-            if np.isfinite(there.jacobian).all():
-                trusted = foretells(turning, here, there, trusted)
-                turning, here = learned(turning, here, there), there
-            else:
+            on_trust = dear and abs(gain - 1) < AWRY and here.turned < ON_TRUST
+            there = _turned(here, after, moved) if on_trust else Place(after, moved, jacobian(after))
+            if not np.isfinite(there.jacobian).all():
                 damping = _damping(damping, -1.0)
+                continue
+            if not (here.turned or there.turned):
+                trusted = foretells(turning, here, there, trusted)
+                turning = learned(turning, here, there)
+            here, sure = there, sure if there.turned else there
     return here.x, False
+
+
+def _sure(here: Place, sure: Place, jacobian: Residual, damping: float) -> tuple[Place, float]:
+    """A point with its true slopes, and the damping; where it has none, the last one that had."""
+    there = Place(here.x, here.residual, jacobian(here.x))
+    return (there, damping) if np.isfinite(there.jacobian).all() else (sure, _damping(damping, -1.0))
+
+
+def _turned(here: Place, x: np.ndarray, residual: np.ndarray) -> Place:
+    """The end of a step, with the Jacobian that changes least and foretells what it brought."""
+    step = x - here.x
+    missing = residual - here.residual - here.jacobian @ step
+    return Place(x, residual, here.jacobian + np.outer(missing, step) / max(float(step @ step), 1e-300), here.turned + 1)
 
 
 def _gain(here: Place, step: np.ndarray, turning: np.ndarray, moved: np.ndarray) -> float:

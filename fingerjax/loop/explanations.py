@@ -310,8 +310,7 @@ def first(sample: Sample) -> Float[np.ndarray, "p"]:
 
 def _answers(sample: Sample, raw: Float[np.ndarray, "p"], phi: Mapping[str, float]) -> bool:
     """Whether the model has an answer there."""
-    at = sample.subject.glance(raw, phi)
-    return (sample.subject.evaluate(raw, phi, ()) if at is None else at).usable
+    return sample.subject.value(raw, phi).usable
 
 
 def _towards(column: Column, change: float) -> float:

@@ -148,6 +148,10 @@ class _Points:
             return self.at(x)
         return _kept(self.glanced, x, lambda: self.sample.subject.glance(*self.split(x))) or self.at(x)
 
+    def dear(self, x: np.ndarray) -> bool:
+        """Whether derivatives cost far more than a value."""
+        return _kept(self.glanced, x, lambda: self.sample.subject.glance(*self.split(x))) is not None
+
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Residuals and priors of the effects; NaN where the model has no answer, so that the step is refused."""
         at = self.value_at(x)
@@ -212,7 +216,10 @@ def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
     start = np.clip(start, lower + room, upper - room)
     if not points.at(start).usable:
         return start
-    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * points.near, enough)
+    dear = points.dear(start)
+    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * points.near, enough, dear=dear)
+    if reached and dear:
+        return near
     if reached or _at_an_edge(points, near):
         return _polished(points, near)
     if points.columns:

@@ -277,6 +277,11 @@ class AbstractSubject(abc.ABC):
         """The same without derivatives, (rows, 0), where that is far less work: searches look so at where a step would lead. None else."""
         return None
 
+    def value(self, raw: Float[np.ndarray, "p"], phi: Mapping[str, float]) -> Evaluation:
+        """The same without derivatives in any effect, and in nothing at all where derivatives are dear."""
+        at = self.glance(raw, phi)
+        return self.evaluate(raw, phi, ()) if at is None else at
+
     @abc.abstractmethod
     def columns(self, raw: Float[np.ndarray, "p"], phi: Mapping[str, float] = NONE) -> Mapping[str, Float[np.ndarray, "rows"]]:
         """Key -> (rows,) change of the prediction per unit of every column of every family, second terms included: the tangent, or
