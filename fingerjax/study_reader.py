@@ -10,9 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from .csvfile import inline_table, read_table, same
+from .csvfile import inline_table, read_table
 from .errors import InputError
 from .finger_keys import Finger
 from .geometry.views import NAME as VIEWS
@@ -22,23 +20,21 @@ from .parameters import Parameter
 from .spelling import choose_from
 from .strict import checked
 from .study_design import Design, read_design
-from .study_keys import DiagnoseKeys, FitKeys, LayerStudyKeys, StudyKeys, TableKeys
+from .study_diagnose import read_diagnose
+from .study_keys import FitKeys, LayerStudyKeys, StudyKeys, TableKeys
 from .study_records import (
-    MEASUREMENT,
     Diagnose,
     Fit,
     ForceTable,
-    HeldOut,
     LayerStudy,
     Prior,
-    Reach,
     Study,
     TableRow,
     base_parameters,
 )
 from .study_sweep import Sweep, SweepKeys, read_sweep
-from .tidy import LABELS, QUANTITIES, Tidy
-from .units import internal_unit, split_unit, to_internal
+from .tidy import LABELS, Tidy
+from .units import split_unit, to_internal
 from .yamlfile import Origin, located
 
 SHARED = "data:"
@@ -75,7 +71,7 @@ class StudyReader:
             receptor=receptor,
             measurements=measurements,
             fit=fit,
-            diagnose=self._diagnose(keys.diagnose, keys, measurements),
+            diagnose=self._diagnose(keys, measurements),
             design=self._design(keys, fit),
             options=options,
             missing_data=tuple(dict.fromkeys(self.missing)),
@@ -234,47 +230,10 @@ class StudyReader:
         with located(self.origin, "fit", "priors", name):
             return _read_prior(said, unit, dimension[unit])
 
-    def _diagnose(
-        self, said: DiagnoseKeys | None, keys: StudyKeys, measurements: Sequence[Measurement]
-    ) -> Diagnose | None:
-        if said is None:
+    def _diagnose(self, keys: StudyKeys, measurements: Sequence[Measurement]) -> Diagnose | None:
+        if keys.diagnose is None:
             return None
-        effects = said.effects if isinstance(said.effects, str) else tuple(said.effects)
-        by_name = {one.name: one for one in measurements}
-        held = []
-        for index, one in enumerate(said.hold_out):
-            with located(self.origin, "diagnose", "hold_out", index):
-                names = [entry.name for entry in keys.measurements]
-                if one.measurement not in names:
-                    remedy = choose_from(one.measurement, names)
-                    raise InputError(
-                        "no such measurement", place="measurement", seen=one.measurement, remedy=remedy
-                    )
-            if one.measurement in by_name:
-                with located(self.origin, "diagnose", "hold_out", index, "where"):
-                    held.append(_held_out(by_name[one.measurement], one.where))
-        form = {"deflection_profile": said.model_error.profile, "force_displacement": said.model_error.force}
-        form |= {"spike_rate": said.model_error.rate}
-        self._check_apart(said, measurements)
-        reach = Reach(said.pairs, said.together)
-        return Diagnose(effects, tuple(held), form, said.placement_mm, said.nodes, reach, dict(said.per))
-
-    def _check_apart(self, said: DiagnoseKeys, measurements: Sequence[Measurement]) -> None:
-        """Every row has to say whose amount of an effect it sees."""
-        for effect, column in said.per.items():
-            if column == MEASUREMENT:
-                continue
-            place = self.origin(("diagnose", "per", effect))
-            if column not in LABELS:
-                remedy = choose_from(column, [MEASUREMENT, *LABELS])
-                raise InputError("no column of labels", file=place[0], place=place[1], seen=column, remedy=remedy)
-            for one in measurements:
-                if column not in one.table:
-                    remedy = f"add the column to {one.file}, or take {effect} out of diagnose.per"
-                    raise InputError(
-                        f"rows of {one.name} do not say their {column}, by which {effect} differs", file=place[0], place=place[1],
-                        remedy=remedy,
-                    )  # fmt: skip
+        return read_diagnose(keys.diagnose, [entry.name for entry in keys.measurements], measurements, self._below("diagnose"))
 
     def _design(self, keys: StudyKeys, fit: Fit) -> Design | None:
         if keys.design is None:
@@ -374,41 +333,3 @@ def _read_prior(said: Mapping[str, Any], unit: str, dimension: str) -> Prior:
         remedy = f"write {{{key}: ..., relative_sd: ...}}, or sd_ with the unit of the value"
         raise InputError("a prior needs a value and one width", seen=dict(said), remedy=remedy)
     return Prior(found["value"], found.get("sd", found.get("relative_sd", 0.0) * found["value"]))
-
-
-def _held_out(measurement: Measurement, where: Mapping[str, Any]) -> HeldOut:
-    """The condition in internal units. **Raises** `InputError` for a column or a value that the measurement
-    lacks.
-    """
-    taken = {}
-    for key, wanted in where.items():
-        base, unit = split_unit(key)
-        if base not in measurement.table:
-            known = [_with_unit(name) for name in measurement.table]
-            raise InputError("no such column", place=key, remedy=choose_from(key, known))
-        values = list(wanted) if isinstance(wanted, (list, tuple)) else [wanted]
-        taken[base] = tuple(_value(measurement.table[base], base, unit, key, value) for value in values)
-    return HeldOut(measurement.name, taken)
-
-
-def _with_unit(name: str) -> str:
-    dimension = QUANTITIES.get(name)
-    return f"{name}_{internal_unit(dimension)}" if dimension else name
-
-
-def _value(column: np.ndarray, base: str, unit: str | None, key: str, value: Any) -> float | str:
-    present = dict.fromkeys(column.tolist())
-    if column.dtype.kind != "f":
-        found = next((str(cell) for cell in present if same(str(cell), value)), None)
-        if found is None:
-            raise InputError(
-                "no row has this value", place=key, seen=value, remedy=choose_from(value, map(str, present))
-            )
-        return found
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError("not a number", place=key, seen=value, remedy="write a number")
-    number = float(to_internal(value, unit, QUANTITIES[base], key))
-    if not np.isclose(column, number, rtol=1e-6, atol=1e-9).any():
-        shown = ", ".join(f"{cell:g}" for cell in sorted(present))
-        raise InputError("no row has this value", place=key, seen=value, remedy=f"rows have: {shown}")
-    return number
