@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +14,7 @@ from fingerjax.effects import catalogue, chosen
 from fingerjax.errors import InputError
 from fingerjax.fem.equilibrium import Tissue
 from fingerjax.fem.tissue import Exponential, FiniteStrain
-from fingerjax.forward import Assembled, assemble
+from fingerjax.forward import Assembled
 from fingerjax.forward.strained import FARTHEST, Strained, place_of, strained_readings
 from fingerjax.forward.strained_slopes import strained_jacobian, strained_slopes
 from fingerjax.runners import elastic, variants
@@ -127,7 +126,7 @@ def test_a_glance_is_an_evaluation_without_derivatives(ready: Assembled) -> None
 def test_laws_are_followed_on_a_mesh_with_fewer_nodes_or_on_the_models_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: float, own: bool
 ) -> None:
-    monkeypatch.setattr(variants, "ROUGH", ((size, False),))
+    monkeypatch.setattr(variants, "ROUGH", size)
     made = variants.Variants(cylinder(tmp_path, "held", "held", pad=5.0), {}, "auto", 1.0)
     rough = made.rough({})
     assert (rough is made.base) is own
@@ -138,7 +137,7 @@ def test_laws_are_followed_on_a_mesh_with_fewer_nodes_or_on_the_models_own(
 def test_laws_are_followed_on_the_models_own_mesh_where_a_coarser_one_reads_otherwise(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, like: float, own: bool
 ) -> None:
-    monkeypatch.setattr(variants, "ROUGH", ((1.6, False),))
+    monkeypatch.setattr(variants, "ROUGH", 1.6)
     monkeypatch.setattr(elastic, "LIKE", like)
     subject = FingerSubject(cylinder(tmp_path, "held", "held", pad=5.0), chosen(("finite_strain",), catalogue()))
     assert (subject.elastic.variants.rough({}) is subject.base) is own
@@ -154,23 +153,3 @@ def test_laws_are_followed_on_the_models_own_mesh_where_a_coarser_one_cannot_be_
 
     monkeypatch.setattr(variants, "assemble", broken)
     assert made.rough({}) is made.base
-
-
-def test_of_several_coarser_meshes_laws_are_followed_on_the_first_that_reads_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(variants, "ROUGH", ((1.9, False), (1.6, True), (1.5, True)))
-    asked: list[tuple[bool, bool]] = []
-    tried: list[Assembled] = []
-
-    def assembled(*said: Any, focused: bool, even: bool, **more: Any) -> Assembled:
-        asked.append((focused, even))
-        return assemble(*said, focused=focused, even=even, **more)
-
-    def second(rough: Assembled, own: Assembled) -> bool:
-        tried.append(rough)
-        return len(tried) == 2
-
-    monkeypatch.setattr(variants, "assemble", assembled)
-    made = variants.Variants(cylinder(tmp_path, "held", "held", pad=5.0), {}, "auto", 1.0, second, even=True)
-    rough = made.rough({})
-    assert rough is tried[1] and asked == [(False, False), (True, True)]
-    assert len(tried[0].mesh.nodes) <= len(rough.mesh.nodes) < len(made.base.mesh.nodes)

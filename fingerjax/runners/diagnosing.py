@@ -84,7 +84,7 @@ def subject_of(
     even = own > working
     tell(0.4, "a mesh to fit on")
     size = _size(study, working, 1.0, own) if even else 1.0
-    subject = FingerSubject(said(size=size, even=even), asked, solver=solver, size=size, even=even)
+    subject = FingerSubject(said(size=size, even=even), asked, solver=solver, size=size)
     tell(0.7, "a finer mesh")
     finer = _finer(study, size, even) if FINER < CLOSE else size
     if finer < CLOSE * size:

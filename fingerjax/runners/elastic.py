@@ -27,15 +27,15 @@ from .variants import Amounts, Variants
 BESIDE = 1e-5  # of an effect's plausible size: the step to another body; what differs then is computed exactly
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 TURN = 1e-5  # of a raw parameter: the step of a difference
-LIKE = 0.15  # of a measurement's readings, root mean square, that a coarser mesh may be off by for laws to be followed on it
+LIKE = 0.1  # of a measurement's readings, root mean square, that a coarser mesh may be off by for laws to be followed on it
 
 
 class ElasticFinger:
     """A study on its mesh without tissue laws. `ways`: every column by which an effect may enter, by its key."""
 
-    def __init__(self, ready: Assembled, effects: Mapping[str, Effect], solver: str, size: float, even: bool = False):
+    def __init__(self, ready: Assembled, effects: Mapping[str, Effect], solver: str, size: float):
         self.effects = effects
-        self.variants = Variants(ready, effects, solver, size, self.alike, even=even)
+        self.variants = Variants(ready, effects, solver, size, self.alike)
         self.parameters = self.base.problem().parameters
         self.rows = rows_of(ready.study)
         self.families = tuple(family(effect) for effect in effects.values())

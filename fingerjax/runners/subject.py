@@ -24,29 +24,17 @@ DECADE = 0.5 * math.log(10.0)  # standard deviation of a modulus's logarithm abo
 
 
 class FingerSubject(AbstractSubject):
-    """A study on its mesh, with elements `size` times as large as its own, and hardly larger far from the pad where it is `even`.
-
-    `absent`: effect -> why the data cannot show it.
-    """
+    """A study on its mesh, with elements `size` times as large as its own. `absent`: effect -> why the data cannot show it."""
 
     version = "1"
 
-    def __init__(
-        self,
-        ready: Assembled,
-        effects: tuple[Effect, ...],
-        *,
-        solver: str = "auto",
-        size: float = 1.0,
-        even: bool = False,
-        tell: Tell = unheard,
-    ):
+    def __init__(self, ready: Assembled, effects: tuple[Effect, ...], *, solver: str = "auto", size: float = 1.0, tell: Tell = unheard):
         study = ready.study
         self.study, self.solver, self.size, self.tell = study, solver, size, tell
         self.absent = {effect.name: why for effect in effects if (why := effect.absent(study.measurements) or effect.lacking(ready.mesh))}
         self.effects = {effect.name: effect for effect in effects if effect.name not in self.absent}
         self.name, self.kind = study.name, "measured"
-        self.elastic = ElasticFinger(ready, self.effects, solver, size, even)
+        self.elastic = ElasticFinger(ready, self.effects, solver, size)
         self.parameters, self.rows, self.families = self.elastic.parameters, self.elastic.rows, self.elastic.families
         self.priors = _priors(self.base, self.parameters)
         self._fine: Assembled | None = None

@@ -17,14 +17,11 @@ from ..forward.model import Assembled, assemble, changed, lay_out
 
 Amounts = dict[str, dict[str, Any]]  # effect -> its numbers
 KEPT = 3  # models with an effect in them that are held at a time
-# How much larger the elements are on which a law is followed, and whether they are smaller under sharp indenters and at receptors:
-# the first of these meshes that reads alike.
-ROUGH = ((1.3, False), (1.6, True), (1.3, True))
+ROUGH = 1.3  # how much larger the elements are on which a law is followed; and none of them is smaller under sharp indenters
 
 
 class Variants:
-    """A study's model, `base`, and others with amounts of effects in them. Elements are `size` times as large as the study's own, and
-    hardly larger far from the pad where the mesh is `even`.
+    """A study's model, `base`, and others with amounts of effects in them. Elements are `size` times as large as the study's own.
 
     `compiled`: effects that are numbers in one compiled model; they are in all of them, asleep. `alike(rough, own)`: whether what is read
     on a coarser mesh is near enough to what is read on the model's own for laws to be followed there.
@@ -37,10 +34,8 @@ class Variants:
         solver: str,
         size: float,
         alike: Callable[[Assembled, Assembled], bool] = lambda rough, own: True,
-        *,
-        even: bool = False,
     ):
-        self.effects, self.solver, self.size, self.alike, self.even = effects, solver, size, alike, even
+        self.effects, self.solver, self.size, self.alike = effects, solver, size, alike
         self.compiled = tuple(effect for effect in effects.values() if effect.traced)
         self.base = self._laid_out(ready, "auto")
         self._made: OrderedDict[str, Assembled | None] = OrderedDict()
@@ -76,18 +71,14 @@ class Variants:
             return None
 
     def _for_laws(self) -> Assembled:
-        for larger, focused in ROUGH:
-            try:
-                rough = assemble(
-                    self.base.study, solver=self.solver, size=larger * self.size, focused=focused, even=focused and self.even
-                )
-            except ValueError:  # too coarse for a place on the skin to be found, or for a layer to be there
-                continue
-            if len(rough.mesh.nodes) < len(self.base.mesh.nodes):
-                rough = self._laid_out(rough, self.solver)
-                if self.alike(rough, self.base):
-                    return rough
-        return self.base
+        try:
+            rough = assemble(self.base.study, solver=self.solver, size=ROUGH * self.size, focused=False)
+        except ValueError:  # too coarse for a place on the skin to be found, or for a layer to be there
+            return self.base
+        if len(rough.mesh.nodes) >= len(self.base.mesh.nodes):
+            return self.base
+        rough = self._laid_out(rough, self.solver)
+        return rough if self.alike(rough, self.base) else self.base
 
     def on(self, ready: Assembled, amounts: Amounts) -> Assembled:
         """The same on another mesh. **Raises** `ValueError` where the effects cannot be."""
