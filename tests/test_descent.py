@@ -132,3 +132,13 @@ def test_a_point_reached_on_trust_that_has_no_slopes_is_left() -> None:
 
     found, reached = descend(curve.residual, jacobian, np.array([-1.0, -0.5]), *FAR, 1e-3, dear=True)
     assert not reached and np.isfinite(curve.residual(found)).all()
+
+
+def test_a_search_along_dear_slopes_is_given_up_sooner() -> None:
+    counts = []
+    for dear in (False, True):
+        curve = Counted()
+        _, reached = descend(curve.residual, curve.jacobian, np.array([-4.0, 3.0]), *FAR, 1e-3, enough=1.0, dear=dear)
+        assert not reached, "nothing comes below a sum of squares of 1 beside these data"
+        counts.append(curve.slopes)
+    assert counts[1] < counts[0]

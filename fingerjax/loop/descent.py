@@ -30,6 +30,7 @@ BENT, SHARP = 0.75, 1.5  # gain below which the bend is looked at, and its size 
 PROBE = 0.1  # of a step, where the model has no answer at its end
 # Where the residual is so many times the noise, a search whose last steps brought so little of what was promised is given up.
 FAR, CRAWL, PATIENCE = 2.0, 1e-3, 5
+SOON = 2  # points in turn that do not promise enough, until a search along dear slopes is given up; PATIENCE of them along others
 EDGE, OFTEN = 1.0, 6  # standard errors that steps may promise in vain, and how often, until a search ends: it is on an edge
 STUCK = 1e-7  # share of the sum of squares that says of two steps in turn that there is no getting on
 AWRY, ON_TRUST = 0.25, 3  # how far from 1 the gain of a step may be to turn slopes by, and how many steps in turn may go by such
@@ -92,7 +93,7 @@ def descend(
             here, damping = _sure(here, sure, jacobian, damping)
             continue
         hopeless = hopeless + (not here.turned) if here.squares - promised**2 > enough else 0
-        if slow == PATIENCE or stuck == 2 or hopeless == PATIENCE or vain == OFTEN:
+        if slow == PATIENCE or stuck == 2 or hopeless == (SOON if dear else PATIENCE) or vain == OFTEN:
             break
         believed = turning if trusted else np.zeros_like(turning)
         step = _step(here, believed, damping, lower, upper)
