@@ -25,7 +25,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "effects": ("effects",),
     "experiments": (
         *("indenter_spec", "row_choice", "traces", "spike_windows", "measurements", "finger_keys", "study_design", "study_sweep"),
-        *("study_keys", "study_records", "study_reader", "study"),
+        *("study_keys", "study_records", "study_diagnose", "study_reader", "study"),
     ),
     "forward": ("forward",),
     "identify": ("identify", "loop"),
