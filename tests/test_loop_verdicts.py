@@ -319,7 +319,9 @@ def test_a_glance_spares_derivatives_and_changes_nothing() -> None:
     plain, spared = Toy(truth={"contact_offset.offset": 0.06}), _Glancing(truth={"contact_offset.offset": 0.06})
     ends = [diagnose(toy, sets=0) for toy in (plain, spared)]
     assert ends[0].explanations == ends[1].explanations == ["contact_offset"]
-    assert ends[1].after.phi["contact_offset.offset"].value == pytest.approx(ends[0].after.phi["contact_offset.offset"].value, rel=1e-9)
+    one, other = (end.after.phi["contact_offset.offset"] for end in ends)
+    width = one.ci[1] - one.ci[0]
+    assert other.value == pytest.approx(one.value, abs=0.01 * width), "a search along dear slopes ends within 0.03 standard errors"
     assert spared.glances > 0 and spared.evaluations < plain.evaluations
 
 
