@@ -6,6 +6,7 @@ An explanation stays in the set where
     b  the three tests of adequacy pass with it       and leaves nothing to be explained
     c  held-out conditions are not worse by 9         it predicts what it has not seen
     d  it lies inside what is plausible
+    e  somewhere it is larger than what any model is wrong by
 
 A second term of the same effect is tried before another effect is. Where the set is empty two effects are tried together, each of which
 must explain more than chance given the other. Where it is not, two together join it only where they are far ahead of every one in it: an
@@ -23,7 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..study_records import Reach
-from . import heldout
+from . import heldout, material
 from .adequacy import Look, look
 from .meshguard import correction
 from .refit import Keep, Optimum, forget, optimum
@@ -51,6 +52,7 @@ class Explanation:
     - `families`, `look`: who, and what is left with them. `delta`: RSS_0 - RSS_k.
     - `eta`: share of the excess misfit that is gone, 0 where there was none.
     - `drops`: family -> rise of RSS without it. `veto`: rise of chi-square on held-out conditions. `needed`: what each drop must exceed.
+    - `times_form`: how many times what any model is wrong by the prediction changes, from the base or from the first of two alone.
     """
 
     families: tuple[str, ...]
@@ -60,6 +62,7 @@ class Explanation:
     drops: Mapping[str, float]
     veto: float
     needed: float
+    times_form: float = math.inf
 
     @property
     def best(self) -> Optimum:
@@ -79,9 +82,14 @@ class Explanation:
         return not self.veto > heldout.WORSE
 
     @property
+    def matters(self) -> bool:
+        """Whether it is larger than what any model is wrong by."""
+        return self.times_form >= material.ENOUGH
+
+    @property
     def sound(self) -> bool:
-        """All but that nothing is left: significant, plausible, and no veto."""
-        return self.significant and self.best.plausible and self.holds
+        """All but that nothing is left: significant, plausible, large enough to matter, and no veto."""
+        return self.significant and self.best.plausible and self.matters and self.holds
 
     @property
     def in_set(self) -> bool:
@@ -95,6 +103,7 @@ class Explanation:
         said = [
             (not self.significant, "explains no more than chance would"),
             (not self.best.plausible, "runs to the end of what is plausible"),
+            (not self.matters, "changes no measurement by more than any model is wrong by"),
             (self.look.adequacy.rejected, "leaves something to be explained"),
             (not self.holds, "makes held-out conditions worse"),
         ]
@@ -167,8 +176,12 @@ class Inquiry:
         ]
         return min(fits, key=_misfit)
 
-    def _explained(self, families: tuple[str, ...], best: Optimum, without: Mapping[str, float]) -> Explanation:
-        """**Arguments:** `without`: family -> RSS of the fit that lacks it. The mesh's correction is made anew for what was found."""
+    def _explained(
+        self, families: tuple[str, ...], best: Optimum, without: Mapping[str, float], beside: Optimum | None = None
+    ) -> Explanation:
+        """**Arguments:** `without`: family -> RSS of the fit that lacks it. `beside`: the fit that the last family was added to, else the
+        base. The mesh's correction is made anew for what was found.
+        """
         best = self._on_its_own_mesh(best)
         others = [family for family in self.families if family.name not in families]
         if not best.settled:
@@ -180,7 +193,10 @@ class Inquiry:
         eta = 1.0 - (seen.adequacy.misfit - seen.adequacy.df) / excess if excess > 0 else 0.0
         drops = {family: rss - best.rss for family, rss in without.items()}
         worse = heldout.veto(self.base.best, best, self.held)
-        return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, self.needed)
+        before = self.base.best if beside is None else beside
+        change = (best.at.prediction + best.sample.offset) - (before.at.prediction + before.sample.offset)
+        times = material.times_form(best.sample.subject.rows, best.sample.chosen, change)
+        return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, self.needed, times)
 
     def _least(self, single: Explanation) -> float:
         """Its sum of squares, or where the search was given up what it did not promise to come below."""
@@ -257,7 +273,7 @@ class Inquiry:
             fit = self._added(lead, node)
             if fit.settled and lead.best.rss - fit.rss > self.needed:
                 without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
-                found.append(self._explained(names, fit, without))
+                found.append(self._explained(names, fit, without, lead.best))
         return sorted(found, key=lambda one: -_number(one.delta))
 
     def enlarged(self, lead: Explanation) -> Iterator[Explanation]:
@@ -268,7 +284,7 @@ class Inquiry:
                 continue
             fit = self._added(lead, node)
             if fit.settled:
-                yield self._explained((*lead.families, family), fit, {family: lead.best.rss})
+                yield self._explained((*lead.families, family), fit, {family: lead.best.rss}, lead.best)
 
     def _rivals(self, lead: Explanation) -> list[Node]:
         """What promises most beside a lead, of what could be told from the base parameters at all."""

@@ -177,6 +177,8 @@ class PairRecord:
 
 @dataclass(frozen=True)
 class CandidateRecord:
+    """`times_form`: how many times what any model is wrong by the expected change of the prediction is, where it is most so."""
+
     family: str
     columns: list[str]
     null: dict[str, float]
@@ -193,6 +195,7 @@ class CandidateRecord:
     refit: RefitRecord | None
     unit: str = ""
     acts_on: str = ""
+    times_form: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from scipy import stats
 from scipy.optimize import lsq_linear
 
 from ..parameters import Parameter
+from . import material
 from .refit import Optimum
 from .subject import Column, Family
 
@@ -53,6 +54,7 @@ class Score:
     - `theta_shift` (p,): what the expected change does to the raw base parameters.
     - `left`: |Q S| / |S| of the first column; `length`: |Q S| per unit of it.
     - `direction` (sample,): Q S change as a unit vector. `imitation`: the change of base parameters that an absorbed effect passes for.
+    - `times_form`: how many times what any model is wrong by the expected change of the prediction is, base parameters moved as well.
     """
 
     family: Family
@@ -65,6 +67,12 @@ class Score:
     direction: Float[np.ndarray, "sample"]
     reason: str = ""
     imitation: str = ""
+    times_form: float = 0.0
+
+    @property
+    def matters(self) -> bool:
+        """Whether it is larger than what any model is wrong by."""
+        return self.times_form >= material.ENOUGH
 
     @property
     def testable(self) -> bool:
@@ -81,8 +89,14 @@ class Score:
         return self.nodes[0].change if self.nodes else {}
 
     def smallest(self, critical: float) -> float:
-        """The size that these data would have shown with 90 % probability, in the unit of the first column; inf where none."""
-        return (critical + POWER) / self.length if self.testable else math.inf
+        """The size that these data would have shown with 90 % probability, and that matters, in the unit of the first column; inf where
+        none.
+        """
+        if not self.testable:
+            return math.inf
+        change = abs(self.change[self.nodes[0].columns[0].key])
+        mattering = change * material.ENOUGH / self.times_form if self.times_form > 0 else 0.0
+        return max((critical + POWER) / self.length, mattering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +127,8 @@ class Ranking:
 
     @property
     def largest(self) -> float:
-        return max((score.statistic for score in self.testable), default=0.0)
+        """Statistic, of those that matter."""
+        return max((score.statistic for score in self.testable if score.matters), default=0.0)
 
 
 def rank(best: Optimum, families: Sequence[Family], columns: Mapping[str, Float[np.ndarray, "rows"]]) -> Ranking:
@@ -184,8 +199,14 @@ class _Work:
         length = float(np.linalg.norm(self.rest[first.key]))
         return Score(
             family, nodes, z, best.statistic, self._shift(moved), self.left(first), length,
-            direction / max(float(np.linalg.norm(direction)), 1e-300),
+            direction / max(float(np.linalg.norm(direction)), 1e-300), times_form=self._times_form(direction),
         )  # fmt: skip
+
+    def _times_form(self, direction: Float[np.ndarray, "sample"]) -> float:
+        sample = self.best.sample
+        change = np.zeros(len(sample.chosen))
+        change[sample.chosen] = sample.whiten.back(direction[: int(sample.chosen.sum())])
+        return material.times_form(sample.subject.rows, sample.chosen, change)
 
     def _shift(self, moved: np.ndarray) -> np.ndarray:
         return -(self.best.projection.inverse @ moved)[: len(self.best.raw)]

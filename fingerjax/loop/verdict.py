@@ -61,7 +61,8 @@ def decide(
     kind, members = _judge(noise, mesh, base, singles, pairs)
     last = members[0].look.adequacy if members else base.adequacy
     share = members[0].eta if members else 0.0
-    text = " ".join(part for part in (_text(kind, members, noise, mesh, base, singles), _said_of(absorbed, kind)) if part)
+    parts = _text(kind, members, noise, mesh, base, singles), _too_small(base, kind), _said_of(absorbed, kind)
+    text = " ".join(part for part in parts if part)
     return Verdict(kind, members, share, min(last.omnibus_p, last.smooth_p, last.largest_p), absorbed, text)
 
 
@@ -198,6 +199,17 @@ def sizes(one: Explanation) -> str:
         unit = "" if column.unit in ("", "1") else f" {column.unit}"
         said.append(f"{column.name} = {one.best.phi[column.key]:.3g}{unit}{grid}")
     return ", ".join(said)
+
+
+def _too_small(base: Look, kind: str) -> str:
+    """What is seen in data that a model fits, and is no larger than what any model is wrong by."""
+    small = [score.family.name for score in base.ranking.testable if score.statistic > base.critical.value and not score.matters]
+    if kind != ADEQUATE or not small:
+        return ""
+    return (
+        f"More than chance, but in no measurement more than what any model is wrong by (model_error), could be {' or '.join(small)}: "
+        "not named."
+    )
 
 
 def _said_of(absorbed: tuple[Score, ...], kind: str) -> str:

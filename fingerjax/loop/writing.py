@@ -146,6 +146,7 @@ def _candidate(found: Findings, score: Score) -> record.CandidateRecord:
         refit=_refit(found, score.family.name),
         unit=columns[0].unit,
         acts_on=score.family.acts_on,
+        times_form=score.times_form,
     )
 
 

@@ -77,7 +77,9 @@ def remark(one: Mapping[str, Any]) -> str:
     """Why an effect could not be tested, or why its score speaks for nothing; empty for the others."""
     if one.get("testable") is False:
         return remedy(one)
-    return "the wrong way round: it can only be the other way" if wrong_way(one) else ""
+    if wrong_way(one):
+        return "the wrong way round: it can only be the other way"
+    return "smaller than what any model is wrong by" if number(one.get("times_form")) < 1.0 else ""
 
 
 def size_of(one: Mapping[str, Any]) -> tuple[float, float]:
