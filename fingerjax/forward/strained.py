@@ -32,6 +32,7 @@ from ..fem.columns import Columns
 from ..fem.condensed import AbstractCondensed, first_like
 from ..fem.equilibrium import Newton, State, Tissue, find
 from ..fem.tissue import AbstractTissue
+from .echoes import firsts
 from .model import Model
 from .problem import Health
 from .readings import Instruments, Prediction
@@ -112,10 +113,15 @@ def strained_readings(
     linear = {number: _once(partial(model.solver.condense, model.body, one.lame, model.columns)) for number, one in enumerate(tissues)}
     likes = [first_like(model.body, [one.lame for one in tissues], variant)[0] for variant in range(len(tissues))]
     imposed = [impositions(model.instruments.added, rig, values) for rig in rigs]
+    first = firsts(model, imposed)
     for variant, (tissue, like) in enumerate(zip(tissues, likes, strict=True)):
         condensed = linear[like] if like in likes[variant + 1 :] else linear.pop(like)
         for number, rig in enumerate(rigs):
             for pose, path in paths(rig, variant):
+                if all(first[number][case] != (number, case) for case in path):
+                    for case in path:
+                        cases[number][case] = _heard(cases, first[number][case])
+                    continue
                 place, own = place_of(model, rig, pose)
                 known = [None if start is None else start.cases[number][case] for case in path]
                 twins = [None if like == variant else twin(rig, case, like) for case in path]
@@ -128,6 +134,12 @@ def strained_readings(
                     if ended.rest is None:
                         return _strained(model, values, cases, quantity)
     return _strained(model, values, cases, quantity)
+
+
+def _heard(cases: list[list[Ended]], first: tuple[int, int]) -> Ended:
+    """How a case ended that is another one's, for which nothing more was done."""
+    rig, case = first
+    return cases[rig][case]._replace(iterations=0, factorisations=0, newton=0, tangent=False)
 
 
 def _moved(ended: Ended, by: np.ndarray | None) -> Ended:

@@ -31,13 +31,14 @@ from ..fem.operator import Lame
 from ..fem.solver import Factorised
 from ..fem.stiffness import tangent
 from ..fem.tissue import AbstractTissue, Linear
+from .echoes import firsts
 from .inner import Beside, towards
 from .model import Model
 from .pressing import Known, settle_with
 from .problem import Health
 from .readings import Instruments
 from .rigs import Rig
-from .strained import Strained, place_of, pushed, rig_readings, twin
+from .strained import Strained, impositions, place_of, pushed, rig_readings, twin
 from .wiring import Values
 
 Vector = Float[Array, " d"]
@@ -125,10 +126,18 @@ def strained_slopes(
     moved: list[list[np.ndarray | None]] = [[None] * len(rig.pose) for rig in model.instruments.rigs]
     tissues = [Tissue(model.body, law, material.lame(), model.solver) for material in model.instruments.materials(values)]
     materials = [_material_ways(model.instruments, of, at, variant) for variant in range(len(tissues))]
+    same = firsts(model, [impositions(model.instruments.added, rig, values) for rig in model.instruments.rigs])
+    pushed_so: dict[tuple[int, int], Ways] = {}
     for number, rig in enumerate(model.instruments.rigs):
         series, *pushes = (np.asarray(each) for each in _push_ways(model.instruments.added, rig, of, at))
         ways = [Ways(materials[variant], *each) for variant, *each in zip(np.asarray(rig.variant).tolist(), *pushes, strict=True)]
+        pushed_so |= {(number, case): way for case, way in enumerate(ways)}
         for first, twins in _of_one_shape(rig, tissues, rigid=not np.any(series)).items():
+            others = {case: same[number][case] for case, _ in twins}
+            if all(_heard(other, (number, case), pushed_so) for case, other in others.items()):
+                for case, (rig_before, before) in others.items():
+                    slopes[number][case], moved[number][case] = slopes[rig_before][before], moved[rig_before][before]
+                continue
             rests = {case: rest for case, _ in twins if (rest := found.cases[number][case].rest) is not None}
             if first in rests:
                 shape = Shape(model, tissues, rig, (number, first), dict(twins), rests, float(series[first]))
@@ -137,6 +146,12 @@ def strained_slopes(
     contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
     rows = _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
     return rows, dataclasses.replace(found, slopes=tuple(map(tuple, moved)))
+
+
+def _heard(other: tuple[int, int], case: tuple[int, int], ways: dict[tuple[int, int], Ways]) -> bool:
+    """Whether a case is another one's, and goes on being that with every parameter."""
+    mine, its = ways[case], ways[other]
+    return other != case and np.array_equal(mine.imposed, its.imposed) and np.array_equal(mine.series, its.series)
 
 
 def _of_one_shape(rig: Rig, tissues: Sequence[Tissue], rigid: bool) -> dict[int, list[tuple[int, float]]]:
