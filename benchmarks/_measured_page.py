@@ -10,6 +10,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks._record import Figure, machine
+from benchmarks._sections import last_number, rows, sections
 from fingerjax.report import loop_figures, loop_page, loop_tables, loop_words
 from fingerjax.report.loop_record import Record, nearest
 from fingerjax.report.records import Table
@@ -28,10 +29,22 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure], absent: Sequence[str] = ()) -> str:
-    """The page in Markdown. `found`: study -> its notes, its diagnosis as a record, and its own tables; `absent`: studies not run."""
+def page(
+    found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure], absent: Sequence[str] = (), before: str = ""
+) -> str:
+    """The page in Markdown.
+
+    **Arguments:** `found`: study -> its notes, its diagnosis as a record, and its own tables; `absent`: studies that were not run, whose
+    sections are taken from the page `before` where they are there.
+    """
     here = machine()
-    names = [name for name in ORDER if name in found] + [name for name in found if name not in ORDER]
+    old, lines = sections(before), rows(before)
+    earlier = {name: {"row": lines[name], "section": old[name]} for name in absent if name in old and name in lines}
+    there = [*found, *earlier]
+    names = [name for name in ORDER if name in there] + [name for name in there if name not in ORDER]
+    values = {figure.figure: figure for figure in figures}
+    seconds = {name: values[f"{name}: whole study"].value for name in found}
+    minutes = sum(seconds.values()) / 60 + sum(last_number(one["row"]) for one in earlier.values())
     environment = Environment(
         loader=FileSystemLoader([HERE, REMARKS]),
         undefined=StrictUndefined,
@@ -40,17 +53,19 @@ def page(found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure], abse
         keep_trailing_newline=True,
     )
     environment.filters |= {"share": loop_words.share, "short": loop_words.short, "markdown": markdown}
-    values = {figure.figure: figure for figure in figures}
     return environment.get_template(TEMPLATE.name).render(
-        studies={name: _study(name, found[name]) for name in names},
+        names=names,
+        studies={name: _study(name, found[name]) for name in found},
+        earlier=earlier,
+        minutes=minutes,
         value=lambda name: values[name].value,
         note=lambda name: values[name].note,
         cores=here["cores"],
         cpu=here["cpu"],
         memory=here["memory_GiB"],
-        seconds={name: values[f"{name}: whole study"].value for name in names},
-        absent=absent,
-        remarked=[name for name in names if (REMARKS / f"{name}.md.j2").is_file()],
+        seconds=seconds,
+        absent=[name for name in absent if name not in earlier],
+        remarked=[name for name in found if (REMARKS / f"{name}.md.j2").is_file()],
     )
 
 
@@ -59,6 +74,7 @@ def _study(name: str, kept: Mapping[str, Any]) -> dict[str, Any]:
     ends = nearest(record) or record
     return {
         "notes": kept["notes"],
+        "made": kept.get("made", ""),
         "record": record,
         "after": ends["after"],
         "added": (record.get("nearest") or record["verdict"])["families"],

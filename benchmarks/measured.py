@@ -4,14 +4,16 @@
 measured data, or with that folder beside the repository as `shared/data`.
 
 Every study in `fits/measured` is a part: it is diagnosed as `fingerjax diagnose` does it, and then asked what it is there for (`FURTHER`).
-What a part found is kept under `build/measured`, from where `--write` makes docs/measured.md; a study that has not been run is named there
-as absent. A part that was stopped goes on from the searches that it had finished, as long as neither the program nor its study nor the data
-have changed since. `--quick` takes coarser meshes, fewer readings and a few effects.
+What a part found is kept under `build/measured`, from where `--write` renews its section of docs/measured.md; others stand as an earlier
+run left them, and a study that was never run is named there. A part that was stopped goes on from the searches that it had
+finished, as long as neither the program nor its study nor the data have changed since. `--quick` takes coarser meshes, fewer readings and a
+few effects.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import hashlib
 import json
 import math
@@ -123,7 +125,8 @@ def part(name: str, quick: bool) -> Iterator[Figure]:
         (tables if isinstance(found, Table) else figures).append(found)  # type: ignore[arg-type]
     seconds = time.perf_counter() - began
     figures.append(Figure(f"{name}: whole study", seconds, "s"))
-    keep(name, quick, {"notes": study.notes, "record": record, "tables": [dataclasses.asdict(one) for one in tables]})
+    made = f"program {program()[:8]}, {datetime.date.today():%Y-%m-%d}"
+    keep(name, quick, {"notes": study.notes, "made": made, "record": record, "tables": [dataclasses.asdict(one) for one in tables]})
     yield from figures
 
 
@@ -189,10 +192,11 @@ def keep(name: str, quick: bool, found: Mapping[str, Any]) -> None:
 
 
 def told(figures: Sequence[Figure]) -> str:
-    """The page, from the figures and from what the parts kept that have any."""
+    """The page, from the figures and from what the parts kept that have any; of the others what stands there."""
     there = {figure.figure.split(":")[0] for figure in figures}
     found = {name: json.loads(_file(name, False).read_text()) for name in studies() if name in there}
-    return page(found, figures, absent=[name for name in studies() if name not in there])
+    before = PAGE.read_text(encoding="utf-8") if PAGE.is_file() else ""
+    return page(found, figures, [name for name in studies() if name not in there], before)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

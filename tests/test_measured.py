@@ -15,6 +15,7 @@ from benchmarks import _measured_page
 from benchmarks import measured as studies_of
 from benchmarks._measured_page import markdown, page
 from benchmarks._record import Figure
+from benchmarks._sections import rows, sections
 from benchmarks._table1 import crossing, ratios
 from fingerjax.__main__ import app
 from fingerjax.report.records import Table
@@ -85,14 +86,30 @@ def test_a_table_in_markdown_leaves_out_empty_columns() -> None:
 def test_the_page_is_made_from_records_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_measured_page, "PICTURES", tmp_path / "pictures")
     more = Table("own", "A question of its own", [{"subject": "1", "needed": 0.25}], "How much it would take.")
-    kept = {"record": record("unexplained"), "tables": [dataclasses.asdict(more)]}
+    kept = {"record": record("unexplained"), "tables": [dataclasses.asdict(more)], "made": "program 0123, 2026-01-02"}
     found = {name: {"notes": f"About {name}.", **kept} for name in ("lab", "other")}
     text = page(found, [Figure(f"{name}: whole study", 90.0, "s") for name in found])
-    assert text.count("## A question of its own") == 2 and "About lab." in text and "they took 3 min together" in text
+    assert text.count("## A question of its own") == 2 and "About lab." in text and "\n3 min together" in text
     assert "nail compliance" in text and "pictures/measured_lab_conditions.svg" in text
     drawn = set(re.findall(r"\((pictures/.*?\.svg)\)", text))
     assert any("measured_lab_remainder" in name for name in drawn)
     assert all((tmp_path / name).read_text().lstrip().startswith("<?xml") for name in drawn)
+    assert text.count("Made by program 0123, 2026-01-02.") == 2
+
+
+def test_a_run_renews_its_own_section_and_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_measured_page, "PICTURES", tmp_path / "pictures")
+    names = ("mouse_relaxation", "lab", "silicone")
+    kept = {"notes": "Old.", "record": record("unexplained"), "tables": [], "made": "program 0"}
+    before = page(dict.fromkeys(names[:2], kept), [Figure(f"{name}: whole study", 120.0, "s") for name in names[:2]], ["silicone"])
+    assert "Not run, and so without a result: silicone." in before
+    after = page({"lab": {**kept, "notes": "New."}}, [Figure("lab: whole study", 60.0, "s")], ["mouse_relaxation", "silicone"], before)
+    assert sections(after)["mouse_relaxation"] == sections(before)["mouse_relaxation"] and "New." in sections(after)["lab"]
+    assert list(rows(after)) == ["mouse_relaxation", "lab"]
+    assert rows(after)["mouse_relaxation"] == rows(before)["mouse_relaxation"]
+    assert "\n3 min together" in after and "Not run, and so without a result: silicone." in after
+    again = page({"silicone": kept}, [Figure("silicone: whole study", 60.0, "s")], ["mouse_relaxation", "lab"], after)
+    assert list(sections(again)) == ["mouse_relaxation", "silicone", "lab"] and "Not run" not in again
 
 
 @pytest.mark.parametrize("name", BODIES)
