@@ -136,13 +136,18 @@ def listed(title: str, text: str) -> Callable[[Sequence[Figure]], str]:
 
     def page(figures: Sequence[Figure]) -> str:
         here = machine()
-        rows = [["figure", "value", "goal", "", "note"], ["---", "---:", "---", "---", "---"]]
-        for name, value, unit, goal, met, note in map(_row, figures):
-            rows.append([name, f"{value} {unit}".strip(), goal.removeprefix("goal "), met, note])
         cores = f"{here['cores']} cores, {here['memory_GiB']:g} GiB, {here['cpu']}"
-        return "\n".join([f"# {title}", "", f"{text} {cores}.", "", *(f"| {' | '.join(row)} |" for row in rows), ""])
+        return "\n".join([f"# {title}", "", f"{text} {cores}.", "", listed_table(figures), ""])
 
     return page
+
+
+def listed_table(figures: Sequence[Figure]) -> str:
+    """The figures as a table in Markdown."""
+    rows = [["figure", "value", "goal", "", "note"], ["---", "---:", "---", "---", "---"]]
+    for name, value, unit, goal, met, note in map(_row, figures):
+        rows.append([name, f"{value} {unit}".strip(), goal.removeprefix("goal "), met, note])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def run(

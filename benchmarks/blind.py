@@ -5,7 +5,8 @@
 
 Writes every scenario of `tests/blind` with N draws of noise, runs `fingerjax diagnose` on each as its own process, and scores the reports
 against the truths. What is finished is kept in FOLDER, so that a run that was stopped goes on. `--thin` asks for coarse meshes and takes
-few rows, `--quick` eight scenarios of that kind. `--write` makes docs/blind.md, with every laboratory's verdict.
+few rows, `--quick` eight scenarios of that kind. `--write` renews docs/blind.md, with every laboratory's verdict: what this run scored
+joins what earlier ones did (docs/blind.json), each with the state of the program that it is of.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,8 @@ from typing import Any
 import yaml
 
 from benchmarks._parts import program
-from benchmarks._record import Figure, listed, record, table, write
+from benchmarks._record import Figure, listed_table, record, table, write
+from benchmarks._sections import sections
 from tests.blind import folders, score
 from tests.blind.scenarios import SCENARIOS
 from tests.blind.truths import Truths, in_order
@@ -41,11 +43,14 @@ QUICK = (
 )
 COARSER = 1.4
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "blind.md"
+SCORED = PAGE.with_suffix(".json")
+KINDS = {"full": "Meshes and rows in full", "thin": "Coarse studies with few rows"}
+"""Kind of run -> its heading on the page."""
 TEXT = """Laboratories that another finite-element program made, each with an effect of another form than the catalogue's, diagnosed as a
 user would, and scored against truths that the diagnosis never saw. lambda: what the effect adds to the misfit of the plain model, in units
 of the variance of the noise and of what the laboratories say that any model is wrong by (1 % of deflections and forces, 10 % of rates,
-and an afferent 0.05 mm beside its place); what the mesh leaves is not in it. {kind} {seeds} of each of {count} of the {all} laboratories,
-noise {noise:g} of the largest reading, 4 trials. Written by `python -m benchmarks.blind --write`. Measured on"""
+and an afferent 0.05 mm beside its place); what the mesh leaves is not in it. Noise 0.02 of the largest reading, 4 trials. Written by
+`python -m benchmarks.blind --write`, which adds what it scores to what stands here (docs/blind.json)."""
 TIMEOUT = 3600.0
 """s after which a diagnosis is given up."""
 
@@ -86,10 +91,11 @@ def _contents(folder: Path) -> str:
 
 def outcomes(
     names: Iterable[str], seeds: int, noise: float, folder: Path, *, thin: bool, workers: int = 1
-) -> tuple[list[score.Outcome], list[str]]:
-    """Every diagnosis that ended, scored, and the names of those that did not; so many diagnosed at a time."""
+) -> tuple[dict[str, score.Scored], list[str]]:
+    """Every diagnosis that ended, scored, by the name of its case, and the names of those that did not; so many diagnosed at a time."""
     truths = Truths(folder / "mechanics", thin, tell=_say)
-    found, broken = [], []
+    found: dict[str, score.Scored] = {}
+    broken: list[str] = []
     with ThreadPoolExecutor(workers) as pool:
         begun = []
         for name in in_order(names):
@@ -103,8 +109,9 @@ def outcomes(
                 broken.append(case.name)
                 _say(f"{case.name}: broke off, see {case / 'log.txt'}")
                 continue
-            found.append(score.judge(report, yaml.safe_load(_truth(case).read_text())))
-            _say(_described(found[-1], seconds))
+            one = score.judge(report, yaml.safe_load(_truth(case).read_text()))
+            found[case.name] = score.Scored(one, program()[:8], report["loop"]["runtime_s"] / 60)
+            _say(_described(one, seconds))
     return found, broken
 
 
@@ -141,24 +148,52 @@ def _figure(line: score.Line) -> Figure:
     return Figure(line.name, line.value, "1", words, low <= line.value <= high, note)
 
 
-def page(found: Sequence[score.Outcome], measured: Sequence[Figure], *, thin: bool, seeds: int, noise: float) -> str:
-    """The table of scores, and what was said of every laboratory."""
-    kind = "Coarse studies with few rows (`--thin`)." if thin else "Meshes and rows in full."
-    drawn = "One draw" if seeds == 1 else f"{seeds} draws"
-    count = len({one.case for one in found})
-    text = TEXT.format(kind=kind, seeds=drawn, noise=noise, count=count, all=len(SCENARIOS))
+def remembered(file: Path) -> dict[str, dict[str, score.Scored]]:
+    """What earlier runs scored: kind of run -> name of the case -> outcome and the state of the program."""
+    if not file.is_file():
+        return {kind: {} for kind in KINDS}
+    kept = json.loads(file.read_text(encoding="utf-8"))
+    return {kind: {name: score.Scored.read(one) for name, one in kept.get(kind, {}).items()} for kind in KINDS}
+
+
+def remember(file: Path, kept: Mapping[str, Mapping[str, score.Scored]]) -> None:
+    """Write it down."""
+    said = {kind: {name: one.plain() for name, one in sorted(cases.items())} for kind, cases in kept.items()}
+    file.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+
+
+def page(kept: Mapping[str, Mapping[str, score.Scored]], before: str = "") -> str:
+    """For each kind of run the table of scores, and what was said of every laboratory; sections of another heading stay as they were."""
+    old = sections(before)
+    made = {KINDS[kind]: _section(kind, list(cases.values())) for kind, cases in kept.items() if cases}
+    named = [*made, *(name for name in old if name not in made)]
+    return "\n\n".join(["# Blind laboratories: how often a diagnosis is right", TEXT, *({**old, **made}[name] for name in named)]) + "\n"
+
+
+def _section(kind: str, scored: Sequence[score.Scored]) -> str:
+    states = sorted({one.state for one in scored})
+    count, drawn = len({one.outcome.case for one in scored}), len(scored)
+    about = (
+        f"{drawn} {'draws' if drawn > 1 else 'draw'} of {count} of the {len(SCENARIOS)} laboratories, by {len(states)} "
+        f"{'states' if len(states) > 1 else 'state'} of the program: {', '.join(states)}."
+    )
     head = ["laboratory", "behind it", "lambda", "plain model", "verdict", "named", "among the explanations", "held-out error"]
-    rows = [head, ["---"] * len(head), *map(_cells, sorted(found, key=lambda one: (one.kind, one.case)))]
-    lines = ["## Every laboratory", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
-    return listed("Blind laboratories: how often a diagnosis is right", text)(measured) + "\n" + "\n".join(lines)
+    head += ["min", "program"]
+    ordered = sorted(scored, key=lambda one: (one.outcome.kind, one.outcome.case))
+    rows = [head, ["---"] * len(head), *(_cells(one) for one in ordered)]
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    measured = figures([one.outcome for one in scored], [])
+    return "\n".join([f"## {KINDS[kind]}", "", about, "", listed_table(measured), "", "### Every laboratory", "", *lines])
 
 
-def _cells(one: score.Outcome) -> list[str]:
+def _cells(scored: score.Scored) -> list[str]:
+    one = scored.outcome
     held = "" if one.held_out is None else " -> ".join(f"{100 * value:.2g} %" for value in one.held_out)
     behind = f"{one.kind}: {', '.join(one.families)}" if one.families else one.kind
     there = "" if not one.families or not one.named else "yes" if one.found else "in part" if not one.wrong else "no"
     rejected = "rejected" if one.rejected else "not rejected"
-    return [one.case, behind, f"{one.excess:.3g}", rejected, one.verdict, ", ".join(one.named), there, held]
+    found = [rejected, one.verdict, ", ".join(one.named), there, held]
+    return [one.case, behind, f"{one.excess:.3g}", *found, f"{scored.minutes:.1f}", scored.state]
 
 
 def _say(text: str) -> None:
@@ -184,15 +219,17 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error(f"no scenario is called {', '.join(unknown)}")
     thin = said.quick or said.thin
     folder = said.out / ("thin" if thin else "full")
-    found: list[score.Outcome] = []
     if said.mesh:
         measured = list(mesh_figures(folder, thin=thin))
     else:
         found, broken = outcomes(names, said.seeds, said.noise, folder, thin=thin, workers=said.workers)
-        measured = figures(found, broken)
+        measured = figures([one.outcome for one in found.values()], broken)
+        if said.write and found:
+            kept = remembered(SCORED)
+            kept[folder.name] |= found
+            remember(SCORED, kept)
+            PAGE.write_text(page(kept, PAGE.read_text(encoding="utf-8") if PAGE.is_file() else ""), encoding="utf-8")
     print(table(measured))
-    if said.write and found:
-        PAGE.write_text(page(found, measured, thin=thin, seeds=said.seeds, noise=said.noise), encoding="utf-8")
     if said.json is not None:
         write(said.json, record(measured, quick=said.quick))
 

@@ -233,8 +233,24 @@ def test_finished_diagnoses_are_kept_and_other_laboratories_or_programs_are_diag
 def test_the_page_tells_every_laboratory():
     """A row each, with what is behind it, the verdict, and whether that is among the explanations."""
     other = truth(case="hysteresis", families=["hysteresis"])
-    found = [score.judge(report(), truth()), score.judge(report(), other)]
-    told = blind.page(found, blind.figures(found, []), thin=True, seeds=1, noise=0.02)
+    first, second = (score.judge(report(), one) for one in (truth(), other))
+    kept = {"full": {"a": score.Scored(first, "01234567", 12.0), "b": score.Scored(second, "89abcdef", 3.04)}, "thin": {}}
+    told = blind.page(kept)
     assert "| contact_offset | single: contact_offset | 150 | rejected | attributed | contact_offset | yes |" in told
     assert "| hysteresis | single: hysteresis | 150 | rejected | attributed | contact_offset | no |" in told
-    assert "noise 0.02" in told and "One draw" in told and "`--thin`" in told
+    assert "| 12.0 | 01234567 |" in told and "2 draws of 2 of the" in told and "by 2 states of the program: 01234567, 89abcdef." in told
+    assert "## Meshes and rows in full" in told and "## Coarse studies" not in told
+
+
+def test_what_one_run_scored_stands_beside_what_the_next_one_does(tmp_path):
+    """Outcomes are written down whole; a section of another heading stays."""
+    file = tmp_path / "blind.json"
+    one = score.Scored(score.judge(report(), truth()), "01234567", 12.0)
+    assert blind.remembered(file) == {"full": {}, "thin": {}}
+    blind.remember(file, {"full": {"a": one}, "thin": {}})
+    kept = blind.remembered(file)
+    assert kept["full"] == {"a": one}
+    kept["thin"]["b"] = one
+    blind.remember(file, kept)
+    told = blind.page(blind.remembered(file), "# Old\n\n## Coarse studies with few rows\n\nold\n\n## By hand\n\nstays\n")
+    assert told.index("## Meshes") < told.index("## Coarse") < told.index("## By hand\n\nstays") and "old" not in told

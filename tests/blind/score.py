@@ -57,6 +57,32 @@ class Outcome:
 
 
 @dataclass(frozen=True)
+class Scored:
+    """An outcome, the `state` of the program that it is of, and the `minutes` that the diagnosis took by its own clock."""
+
+    outcome: Outcome
+    state: str
+    minutes: float
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        held = {name: sorted(value) if isinstance(value, frozenset) else value for name, value in vars(self.outcome).items()}
+        return {**held, "state": self.state, "minutes": self.minutes}
+
+    @classmethod
+    def read(cls, kept: Mapping[str, Any]) -> Scored:
+        """From what `plain` said."""
+        said = dict(kept)
+        state, minutes = said.pop("state"), said.pop("minutes")
+        sets = {name: frozenset(said.pop(name)) for name in ("explanations", "absorbed")}
+        return cls(Outcome(**{name: _tuples(value) for name, value in said.items()}, **sets), state, minutes)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+@dataclass(frozen=True)
 class Line:
     """A line of the table: a `value` of `count` cases with its interval (NaN where it is no share), and its goal, lowest and highest."""
 
