@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import equinox as eqx
@@ -12,6 +13,7 @@ import pytest
 from fingerjax.contact.chord import Chording, Chords, tangent_chord
 from fingerjax.effects import catalogue, chosen
 from fingerjax.errors import InputError
+from fingerjax.fem.cholesky import AbstractCholesky
 from fingerjax.fem.equilibrium import Tissue
 from fingerjax.fem.tissue import Exponential, FiniteStrain
 from fingerjax.forward import Assembled
@@ -80,6 +82,15 @@ def test_kept_tangents_save_factorisations_and_change_nothing(ready: Assembled) 
     kept, anew = (strained_readings(ready.model, *of(far + change), start=first, chording=TIGHT, chords=one) for one in (chords, none))
     assert kept.factorisations == 0 < anew.factorisations
     np.testing.assert_allclose(kept.prediction.readings[0], anew.prediction.readings[0], rtol=1e-8)
+
+
+def test_a_new_tangent_of_a_case_takes_up_the_analysis_of_its_last_one(ready: Assembled, known: Strained) -> None:
+    chords, held = Chords(), []
+    for _ in range(3):
+        strained_slopes(ready.model, of, HERE, known, chords=chords)
+        gc.collect()
+        held.append(sum(isinstance(one, AbstractCholesky) for one in gc.get_objects()))
+    assert held[0] == held[1] == held[2]
 
 
 def test_a_tangent_serves_bodies_that_move_alike_only(ready: Assembled) -> None:

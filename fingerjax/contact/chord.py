@@ -96,8 +96,12 @@ class Chords:
         now, then = ((one.free, one.modes, pressed.node, pressed.weight) for one, pressed in ((body, place.columns), (other, columns)))
         return chord if all(map(np.array_equal, now, then)) else None
 
-    def keep(self, case: tuple[int, int], body: Body, place: Place, chord: Chord) -> None:
+    def drop(self, case: tuple[int, int]) -> None:
+        """Let go of the one of a case, before another is made for it: its analysis serves that one too."""
         self._kept.pop(case, None)
+
+    def keep(self, case: tuple[int, int], body: Body, place: Place, chord: Chord) -> None:
+        self.drop(case)
         held = sum(one.condensed.memory for *_, one in self._kept.values())
         if 0 < chord.condensed.memory <= self.room - held:
             self._kept[case] = body, place.columns, chord

@@ -204,6 +204,7 @@ def _shape_slopes(
     pushing = {case: np.append(felt[case], np.arange(d, count)) for case in rests}
     pushes = [_pushes(own[case], ways[case].material, felt[case], bodies, rest.displacement) for case, rest in rests.items()]
     tissue, loads = own[first], np.concatenate([hats.T, *(-push for push in pushes)])
+    chords.drop(shape.of)
     undone = _undone(tissue, place, rests[first].displacement, loads)
     if undone is None:
         return
