@@ -18,7 +18,7 @@ class StrainStiffening(Effect):
     acts_on = "tissue"
     leaves = "Force grows faster than contact makes it grow: too small moduli fit gentle pushes, too large ones deep pushes."
     confused_with = "finite_strain, contact_offset (both bend the force curve), apparatus_compliance with the other sign, bone_offset."
-    parameters = (Size("skin", "1", 5.0, 0.0, 30.0, sign=1), Size("deep", "1", 5.0, 0.0, 30.0, sign=1))
+    parameters = (Size("skin", "1", 10.0, 0.0, 30.0, sign=1), Size("deep", "1", 10.0, 0.0, 30.0, sign=1))
 
     def law(self, law: AbstractTissue, amount: Amount) -> AbstractTissue:
         skin, deep = jnp.asarray(amount["skin"], float), jnp.asarray(amount["deep"], float)
