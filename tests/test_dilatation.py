@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -59,6 +62,21 @@ def test_operator_is_the_assembled_matrix_and_the_slope_of_the_energy() -> None:
     assert np.allclose(force, matrix @ np.asarray(u).ravel()[assembled.free], rtol=0, atol=1e-13 * np.abs(force).max())
     slope = jax.grad(strain_energy, argnums=2)(one, lame, u)
     assert jnp.allclose(one.free[:, None] * slope, apply(one, lame, u), atol=1e-13)
+
+
+def test_bodies_of_the_same_elements_share_where_their_stiffness_goes() -> None:
+    mean, pointwise, more = (cube_body(2, layers=layers, dilatation=form) for layers, form in ((4, "mean"), (4, "pointwise"), (2, "mean")))
+    one, other = Assembled(mean, upper=True), Assembled(pointwise, upper=True)
+    assert one.pattern is other.pattern
+    assert Assembled(mean, upper=False).pattern is not one.pattern and Assembled(more, upper=True).pattern is not one.pattern
+    matrices = [np.asarray(each.matrix(np.asarray(SKIN.lame())).todense()) for each in (one, other)]
+    assert not np.allclose(*matrices)  # of their own, in the same places
+    gone = weakref.ref(one.pattern)
+    del one
+    assert gone() is other.pattern
+    del other
+    gc.collect()
+    assert gone() is None
 
 
 def test_linear_tetrahedra_know_no_difference() -> None:
