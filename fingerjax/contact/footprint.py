@@ -141,14 +141,15 @@ def interface(pad: Pad, indenter: AbstractIndenter, origin: Any = (0.0, 0.0)) ->
     )
 
 
-def only(interface: Interface, kept: np.ndarray, load: Float[Array, "p k"]) -> Interface:
+def only(interface: Interface, kept: np.ndarray, load: Float[Array | np.ndarray, "p k"]) -> Interface:
     """Some of the hats, by number, with another `load`; facets that any other hat stands on lose their area. Outside of compiled code."""
     number = np.full(len(interface.area), -1)
     number[kept] = np.arange(len(kept))
     pieces = number[np.asarray(interface.pieces)]
     whole = np.all(pieces >= 0, axis=1)
-    overlap, area, rim = (part[kept] for part in (interface.overlap, interface.area, interface.rim))
-    return Interface(load, overlap, area, rim, interface.lowest, jnp.asarray(pieces[whole]), interface.covered[whole])
+    overlap, area, rim = (np.asarray(part)[kept] for part in (interface.overlap, interface.area, interface.rim))
+    rest = overlap, area, rim, interface.lowest, pieces[whole], np.asarray(interface.covered)[whole]
+    return Interface(jax.device_put(load), *jax.device_put(rest))
 
 
 def _without_slivers(interface: Interface, full: Float[Array, " k"]) -> Interface:

@@ -110,4 +110,4 @@ def _stacked(parts: list[np.ndarray], empty: bool) -> Array:
     longest = max(map(len, parts))
     like = np.zeros_like if empty else np.asarray
     filled = [np.concatenate([one, np.broadcast_to(like(one[:1]), (longest - len(one), *one.shape[1:]))]) for one in parts]
-    return jnp.asarray(np.stack(filled))
+    return jax.device_put(np.stack(filled))  # asarray would compile a program for each shape

@@ -7,6 +7,7 @@ the skin, a strain component at a receptor. The same numbers are the nodal force
 from __future__ import annotations
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
@@ -56,4 +57,4 @@ def columns_from_matrix(matrix: sp.spmatrix) -> Columns:
     weight = np.zeros((*node.shape, 3))
     node[pairs[0], slot] = pairs[1]
     np.add.at(weight, (pairs[0][inverse], slot[inverse], coo.row % 3), coo.data)
-    return Columns(jnp.asarray(node), jnp.asarray(weight), nodes)
+    return Columns(jax.device_put(node), jax.device_put(weight), nodes)

@@ -106,13 +106,14 @@ def _settled(
     found = [_settle(rig, hats, columns, added, dict(values)) for rig, hats in zip(rigs, between, strict=True)]
     slope = [np.zeros((len(forces), directions.shape[1], columns)) for _, forces in found]
     chosen = [[np.flatnonzero(np.asarray(rig.variant) == variant) for rig in rigs] for variant in range(len(bodies))]
-    pushed = [jnp.concatenate([forces[cases] for (_, forces), cases in zip(found, own, strict=True)]) for own in chosen]
+    acted = [np.asarray(forces) for _, forces in found]
+    pushed = [jax.device_put(np.concatenate([forces[cases] for forces, cases in zip(acted, own, strict=True)])) for own in chosen]
     for own, moved in zip(chosen, changes(pushed), strict=True):
         ends = np.cumsum([len(cases) for cases in own])[:-1]
         for each, cases, part in zip(slope, own, np.split(moved, ends), strict=True):
             each[cases] = part
     together = zip(found, slope, between, strict=True)
-    settled = tuple(Settled(active, jnp.asarray(each), hats) for (active, _), each, hats in together)
+    settled = tuple(Settled(active, jax.device_put(each), hats) for (active, _), each, hats in together)
     return Known(tuple(each.held for each in bodies), settled, directions)
 
 
@@ -120,7 +121,8 @@ def _between(rig: Rig, bodies: list[AbstractCondensed]) -> Float[Array, "variant
     """What hats answer to hats in each pose of a rig: a hat loads a few nodes only, so these are sparse products; bodies in proportion
     share them.
     """
-    loads = [_on_columns(*pose, bodies[0].held.matrix.shape[0]) for pose in zip(rig.interface.load, rig.columns, strict=True)]
+    poses = zip(np.asarray(rig.interface.load), np.asarray(rig.columns), strict=True)
+    loads = [_on_columns(*pose, bodies[0].held.matrix.shape[0]) for pose in poses]
     made: dict[int, Float[np.ndarray, "poses k k"]] = {}
     found = []
     for body in bodies:
@@ -129,13 +131,13 @@ def _between(rig: Rig, bodies: list[AbstractCondensed]) -> Float[Array, "variant
             C = np.asarray(one.held.matrix)
             made[id(one)] = np.stack([load @ (load @ C).T for load in loads])
         found.append(made[id(one)] / times)
-    return jnp.asarray(np.stack(found))
+    return jax.device_put(np.stack(found))
 
 
-def _on_columns(load: Float[Array, "p k"], columns: Int[Array, " p"], count: int) -> sp.csr_matrix:
+def _on_columns(load: Float[np.ndarray, "p k"], columns: Int[np.ndarray, " p"], count: int) -> sp.csr_matrix:
     """The load of each hat (k, count) on the compliance's columns."""
-    node, hat = np.nonzero(np.asarray(load))
-    return sp.csr_matrix((np.asarray(load)[node, hat], (hat, np.asarray(columns)[node])), shape=(load.shape[1], count))
+    node, hat = np.nonzero(load)
+    return sp.csr_matrix((load[node, hat], (hat, columns[node])), shape=(load.shape[1], count))
 
 
 # One case after the other (lax.map): jaxlib's batched dense solves wait for one another on XLA's own threads, and two at once can take

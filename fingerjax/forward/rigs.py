@@ -249,7 +249,7 @@ def lay(planned: list[Plan], finger: Finger, body: Body, solid: AbstractSolid, k
         if layer is not None:
             layers[plan.index] = layer
         if pressed is not None:
-            columns = columns + _append(matrices, pressed)
+            columns = jax.device_put(np.asarray(columns) + _append(matrices, pressed))
         rigs.append(_rig(plan, columns, geometry, reading))
     return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers, skin)
 
@@ -264,7 +264,7 @@ def _skin(planned: list[Plan], finger: Finger) -> Skin:
         columns, geometry, pressed = cut.columns, _interfaces(plan.indenter, cut, jnp.asarray(plan.origins)), None
         if len(plan.origins) == 1:
             pressed, geometry = _pressures(cut, geometry, len(finger.nodes))
-            columns = jnp.arange(pressed.shape[1])[None]
+            columns = jax.device_put(np.arange(pressed.shape[1])[None])
         places.append((columns, geometry, pressed))
     return Skin(planned, pad, any(len(plan.origins) > 1 for plan in planned), places)
 
@@ -284,15 +284,15 @@ def _interfaces(indenter: AbstractIndenter, cut: Pad, origins: Float[Array, "pos
 
 def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix, Interface]:
     """The hats of a single pose as columns (3n, k), and the interface that presses on them instead of on nodes."""
-    kept = np.flatnonzero(np.asarray(geometry.area[0]) > 0)
+    kept = np.flatnonzero(np.asarray(geometry.area)[0] > 0)
     if not len(kept):
         remedy = "write a smaller pad_mm, or least_mm, under finger: resolution:"
         raise InputError("the mesh is too coarse for this indenter: no node of the skin lies under it", place="indenter", remedy=remedy)
-    load = sp.coo_matrix(np.asarray(geometry.load[0])[:, kept])
-    rows = 3 * np.asarray(cut.nodes[0])[load.row] + 1
+    load = sp.coo_matrix(np.asarray(geometry.load)[0][:, kept])
+    rows = 3 * np.asarray(cut.nodes)[0][load.row] + 1
     matrix = sp.csc_matrix((load.data, (rows, load.col)), shape=(3 * nodes, len(kept)))
-    pressing = only(jax.tree.map(lambda leaf: leaf[0], geometry), kept, jnp.eye(len(kept)))
-    return matrix, jax.tree.map(lambda leaf: leaf[None], pressing)
+    pressing = only(jax.tree.map(lambda leaf: np.asarray(leaf)[0], geometry), kept, np.eye(len(kept)))
+    return matrix, jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[None]), pressing)
 
 
 def _indentations(plan: Plan, limit: float) -> list[Indentation]:
