@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from fingerjax.forward import Assembled
 from fingerjax.forward.strained import FARTHEST, Strained, place_of, strained_readings
 from fingerjax.forward.strained_slopes import strained_jacobian, strained_slopes
 from fingerjax.runners import elastic, variants
+from fingerjax.runners.beyond import Beyond
 from fingerjax.runners.subject import FingerSubject
 
 from .test_bodies import cylinder
@@ -113,6 +115,18 @@ def test_both_ways_of_asking_for_slopes_agree(ready: Assembled, known: Strained)
     rows, again = strained_slopes(ready.model, of, HERE, known)
     np.testing.assert_array_equal(rows, strained_jacobian(ready.model, of, HERE, known))
     assert again.cases is known.cases
+
+
+def test_new_equilibria_take_over_slopes_of_the_same_parameters_alone(known: Strained) -> None:
+    beyond = object.__new__(Beyond)
+    beyond._last = {False: (known, {"modulus": 0.07})}
+    found = dataclasses.replace(known, slopes=None)
+    sloped, numbers = beyond._still_sloped(found, {"modulus": 0.08, "law.b": 2.0}, False)
+    assert sloped.slopes is known.slopes and sloped.cases is found.cases and numbers == {"modulus": 0.08}
+    lost = tuple(tuple(ended._replace(rest=None) for ended in rig) for rig in known.cases)
+    elsewhere = dataclasses.replace(found, cases=lost)
+    for other, named, finely in ((found, {"law.b": 2.0}, False), (found, {"modulus": 0.08}, True), (elsewhere, {"modulus": 0.08}, False)):
+        assert beyond._still_sloped(other, named, finely) == (other, named)
 
 
 def test_what_moves_nothing_has_no_slopes_and_asks_for_no_tangent(ready: Assembled, known: Strained) -> None:
