@@ -40,7 +40,8 @@ def read_diagnose(said: DiagnoseKeys, names: Sequence[str], measurements: Sequen
     effects = said.effects if isinstance(said.effects, str) else tuple(said.effects)
     form = {"deflection_profile": said.model_error.profile, "force_displacement": said.model_error.force}
     form |= {"spike_rate": said.model_error.rate}
-    return Diagnose(effects, tuple(held), form, said.placement_mm, said.nodes, Reach(said.pairs, said.together), dict(said.per))
+    reach = Reach(said.pairs, said.together)
+    return Diagnose(effects, tuple(held), form, said.placement_mm, said.nodes, reach, dict(said.per), tuple(said.without))
 
 
 def _check_labels(effect: str, column: str, measurements: Sequence[Measurement], origin: Origin) -> None:

@@ -271,13 +271,14 @@ class FormKeys(Strict):
 
 
 class DiagnoseKeys(Strict):
-    """Which missing effects are looked for, on which rows the answer is tried, how good any model can be (`model_error`), how well the
-    place of an afferent is known (`placement_mm`), how many nodes a mesh may have on which models are fitted (`nodes`), how far the
-    catalogue is searched where no effect alone explains the data: `pairs` that are tried, effects `together` in the nearest model; and
-    which effects have an amount of their own for each label of a column (`per`).
+    """Which missing effects are looked for, of all of them `without` some, on which rows the answer is tried, how good any model can be
+    (`model_error`), how well the place of an afferent is known (`placement_mm`), how many nodes a mesh may have on which models are fitted
+    (`nodes`), how far the catalogue is searched where no effect alone explains the data: `pairs` that are tried, effects `together` in the
+    nearest model; and which effects have an amount of their own for each label of a column (`per`).
     """
 
     effects: Literal["all", "none"] | list[str] = "all"
+    without: list[str] = []
     hold_out: list[HoldOutKeys] = []
     model_error: FormKeys = FormKeys()
     placement_mm: Annotated[float, Field(ge=0.0)] = PLACEMENT

@@ -89,9 +89,9 @@ MEASUREMENT = "measurement"  # what rows of one measurement have in common, wher
 
 @dataclasses.dataclass(frozen=True)
 class Diagnose:
-    """`effects`: `all`, `none`, or a tuple of names; `hold_out`: empty where whole conditions are held out
-    in turn; `form`: by kind, the share of a reading that a model of the right effects may still be wrong by; `placement`: mm,
-    how well the place of an afferent is known; `nodes`: of the mesh that is fitted on, at most about so many; `per`: effect -> column of
+    """`effects`: `all`, `none`, or a tuple of names; `without`: what `all` is not to mean; `hold_out`: empty where whole conditions are
+    held out in turn; `form`: by kind, the share of a reading that a model of the right effects may still be wrong by; `placement`: mm, how
+    well the place of an afferent is known; `nodes`: of the mesh that is fitted on, at most about so many; `per`: effect -> column of
     labels, or `measurement`, of which each has an amount of its own.
     """
 
@@ -102,6 +102,7 @@ class Diagnose:
     nodes: int = NODES
     reach: Reach = dataclasses.field(default_factory=Reach)
     per: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    without: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

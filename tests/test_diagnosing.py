@@ -219,3 +219,15 @@ def test_an_effect_that_differs_has_to_be_in_the_catalogue(tmp_path: Path) -> No
     other = dataclasses.replace(study, diagnose=dataclasses.replace(study.diagnose or Diagnose(), per={"nail_compliance": "measurement"}))
     subject = subject_of(other, ("contact_offset",))
     assert parted(subject, other) is subject  # one that is not asked for this time is no error
+
+
+def test_a_study_may_leave_effects_out_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(diagnosing, "CLOSE", 0.0)  # no finer mesh
+    study = laboratory(tmp_path, "contact_offset", 0.0)
+    less = dataclasses.replace(study, diagnose=dataclasses.replace(study.diagnose or Diagnose(), without=("strain_stiffening",)))
+    there = set(subject_of(study).effects)
+    assert "strain_stiffening" in there and set(subject_of(less).effects) == there - {"strain_stiffening"}
+    assert set(subject_of(less, ("strain_stiffening",)).effects) == {"strain_stiffening"}  # asked for by name
+    wrong = dataclasses.replace(study, diagnose=dataclasses.replace(study.diagnose or Diagnose(), without=("strain_stifening",)))
+    with pytest.raises(InputError, match="diagnose.without.*strain_stifening|strain_stifening.*strain_stiffening"):
+        subject_of(wrong)

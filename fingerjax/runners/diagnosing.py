@@ -69,13 +69,17 @@ def subject_of(
 ) -> FingerSubject:
     """A study made ready for the loop, on two meshes: its own, or an even one with fewer nodes, and one of the same kind that is finer.
 
-    **Raises** `InputError` for an effect that there is not, asked for or said to differ between labels.
+    **Raises** `InputError` for an effect that there is not: asked for, left out, or said to differ between labels.
     """
     there = catalogue(folder)
     asked, known = chosen(effects, there), [effect.name for effect in there]
-    for name in (study.diagnose or Diagnose()).per:
-        if name not in known:
-            raise InputError("no such effect", file=study.file, place="diagnose.per", seen=name, remedy=choose_from(name, known))
+    wishes = study.diagnose or Diagnose()
+    for place, names in (("per", wishes.per), ("without", wishes.without)):
+        for name in names:
+            if name not in known:
+                raise InputError("no such effect", file=study.file, place=f"diagnose.{place}", seen=name, remedy=choose_from(name, known))
+    if effects == "all":
+        asked = tuple(effect for effect in asked if effect.name not in wishes.without)
     said = functools.partial(assemble, study, solver=solver)
     if study.finger.mesh is not None:
         return FingerSubject(said(tell=tell), asked, solver=solver)
