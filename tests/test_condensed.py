@@ -96,6 +96,18 @@ def test_a_strained_body_answers_with_a_factorisation_of_its_own_and_what_is_for
     assert np.abs(before[1] - before[2]).max() > 1e-3 * np.abs(before[1]).max()
 
 
+def test_what_is_forgotten_leaves_the_last_answer_at_hand(body):
+    columns, solver = columns_of(body, 9), solver_for(body, "factorised")
+    lames = [SKIN.lame(), SKIN.lame().at[:, 1].multiply(0.5)]
+    first, last = (solver.condense(body, lame, columns) for lame in lames)
+    assert solver.condense(body, lames[0], columns) is first
+    solver.forget()
+    assert solver.condense(body, lames[1], columns) is last
+    again = solver.condense(body, lames[0], columns)
+    assert again is not first
+    np.testing.assert_allclose(again.held.matrix, first.held.matrix, rtol=1e-9)
+
+
 def test_a_body_whose_constants_all_moved_in_proportion_is_not_factorised_again(body, monkeypatch):
     columns, solver = columns_of(body, 9), solver_for(body, "factorised")
     first = solver.condense(body, SKIN.lame(), columns)

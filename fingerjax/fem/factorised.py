@@ -69,8 +69,9 @@ class Host:
         self._spare: list[tuple[bytes, AbstractCholesky]] = []
 
     def forget(self) -> None:
-        """Let go of every factorisation that can be made again."""
+        """Let go of every factorisation that can be made again, and of what was answered but for the last."""
         self._factor = self._stiffness = self._apart = None
+        self._last = self._last[-1:]
         self._kept = np.zeros_like(self._kept)
         self._spare.clear()
 
