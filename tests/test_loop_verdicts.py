@@ -224,6 +224,9 @@ def test_effects_are_refitted_where_more_is_missed_than_the_mesh_could_have_made
     assert asked(4.0, 1.9, smooth_p=0.001)
 
 
+FAR = np.array([1.5, -1.0, 1.0, 0.5, -0.5])  # of raw parameters: from there a search takes many steps
+
+
 def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> None:
     toy = Toy(truth={"contact_offset.offset": 0.06})
     found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
@@ -236,7 +239,7 @@ def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> No
     def searched(family: str) -> Optimum:
         node = found.base.ranking[family].nodes[0]
         raw, phi = next(starts(node, base))
-        return optimum(base.sample, node.columns, raw, phi, enough=base.rss - 100.0)
+        return optimum(base.sample, node.columns, raw + FAR, phi, enough=base.rss - 100.0)
 
     assert searched("contact_offset").settled and searched("contact_offset").rss < base.rss - 100.0
     assert not searched("epidermis_thickness").settled and "given up" in searched("epidermis_thickness").reason

@@ -20,6 +20,7 @@ CLEAR = 3.0  # standard errors from which on neighbours count as correlated
 ROUNDS = 6  # of weights, traces and sizes in turn
 SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be told from noise
 FLAT = 0.1  # of a trace: smaller over larger singular value of (gain, zero), where its values differ by less than a fifth
+SEEN = 0.2  # probability by chance below which trials, or traces, are taken to have gains and zeros of their own
 SURE = 0.995  # quantile at which the variance that few trials tell is made wide enough
 CLEARLY = 10.0  # fall of the deviance at which a noise that grows with the value is believed where none is expected
 # Share of the normal variance that is left under these weights: x^2 within TURN, TURN^4 / x^2 beyond.
@@ -168,23 +169,31 @@ class _Block:
         return _inverse(centre[rows], np.ones(int(rows.sum())))[1]
 
     def levels(self, split: _Split) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-        """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest; their widening."""
+        """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest; their widening. What is not
+        seen is none: a few trials always have something in common by chance, which made as wide as few trials demand would hide effects.
+        """
         if not split.pairs:
             return np.zeros((2, 2)), np.zeros((2, 2)), (1.0, 1.0)
         where = {one: tuple(int(code[self.traces == one][0]) for code in (self.condition, self.trial)) for one in split.pairs}
         metric, noise, whole = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+        alone: dict[int, np.ndarray] = {}
         for one, pair in split.pairs.items():
             rows = (self.traces == one) & (self.count > 1)
             variance = split.sigma[rows] ** 2 / split.weights[rows]
             basis, inverse = _basis(split.centre[rows]), _inverse(split.centre[rows], split.weights[rows])[0]
             repeats = float(np.mean(self.count[rows]))
             metric += basis.T @ (basis / variance[:, None]) / len(where)
-            noise += (inverse * variance) @ inverse.T / len(where)
+            alone[one] = (inverse * variance) @ inverse.T
+            noise += alone[one] / len(where)
             whole += np.outer(pair, pair) * repeats / (repeats - 1.0) / len(where)
         shared, trials = _between(split.pairs, where, self.count, self.traces)
         root = np.linalg.cholesky(metric + 1e-12 * np.diag(np.diag(metric)) + 1e-300 * np.eye(2))
         shared = _positive(shared, root)
         own = _positive(whole - noise - shared, root)
+        apart, together = _told(split.pairs, where, alone)
+        own = own if _seen(*apart) else np.zeros((2, 2))
+        _, together = _told(split.pairs, where, {one: each + own for one, each in alone.items()})
+        shared = shared if _seen(*together) else np.zeros((2, 2))
         conditions = len({one[0] for one in where.values()})
         return shared, own, (_widening(trials - 1), _widening(len(where) - conditions))
 
@@ -224,6 +233,39 @@ def _between(
                 met += 1
                 trials.add(trial)
     return (total / met if met else total), len(trials)
+
+
+def _told(
+    pairs: dict[int, np.ndarray], where: dict[int, tuple[int, ...]], spread: dict[int, np.ndarray]
+) -> tuple[tuple[float, int], tuple[float, int]]:
+    """Squares of what traces have that their trial's other traces do not, and of what those of a trial have in common, each with its
+    degrees of freedom: chi-square where pairs have no more than their `spread`.
+    """
+    trials = {trial for _, trial in where.values()}
+    met = {condition: sum(other == condition for other, _ in where.values()) for condition, _ in where.values()}
+    sums, total = {trial: np.zeros(2) for trial in trials}, np.zeros((2, 2))
+    whole, freedom = 0.0, 0.0
+    for one, (condition, trial) in where.items():
+        precise, rank = _inverted(spread[one])
+        whole += float(pairs[one] @ precise @ pairs[one])
+        freedom += rank * (1.0 - 1.0 / met[condition])
+        sums[trial] += precise @ pairs[one]
+        total += precise / len(trials)
+    common, rank = _inverted(total)
+    shared = sum(float(each @ common @ each) for each in sums.values())
+    some = rank * (len(trials) - 1)
+    return (whole - shared, round(freedom) - some), (shared, some)
+
+
+def _inverted(covariance: np.ndarray) -> tuple[np.ndarray, int]:
+    """The pseudo-inverse of a covariance in units of its own, and its rank."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    scaled = covariance / np.outer(size, size)
+    return np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / np.outer(size, size), int(np.linalg.matrix_rank(scaled, 1e-9))
+
+
+def _seen(squares: float, freedom: int) -> bool:
+    return freedom > 0 and float(stats.chi2.sf(squares, freedom)) < SEEN
 
 
 def _positive(matrix: np.ndarray, root: np.ndarray) -> np.ndarray:
