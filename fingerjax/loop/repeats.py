@@ -190,7 +190,7 @@ class _Block:
         root = np.linalg.cholesky(metric + 1e-12 * np.diag(np.diag(metric)) + 1e-300 * np.eye(2))
         shared = _positive(shared, root)
         own = _positive(whole - noise - shared, root)
-        apart, together = _told(split.pairs, where, alone)
+        apart, _ = _told(split.pairs, where, alone)
         own = own if _seen(*apart) else np.zeros((2, 2))
         _, together = _told(split.pairs, where, {one: each + own for one, each in alone.items()})
         shared = shared if _seen(*together) else np.zeros((2, 2))
