@@ -108,6 +108,12 @@ def test_the_mesh_error_is_measured_and_its_leftover_is_a_covariance() -> None:
     again = optimum(best.sample.corrected(offset, left), (), best.raw, NONE)
     known = guard(again, found)
     assert known.excess <= len(GRID) and not known.passed
+    # What may be left asks for more of an effect that looks like it than of one that does not, and of none where the gate is passed.
+    assert known.remainder is not None
+    alike = known.remainder[:, 0] / np.linalg.norm(known.remainder[:, 0])
+    other = np.linalg.qr(np.column_stack([known.remainder[:, 0], np.arange(len(alike))]))[0][:, 1]
+    assert known.margin(alike) ** 2 == pytest.approx(known.excess) and known.margin(other) < 1e-6
+    assert dataclasses.replace(known, checked=False).margin(alike) == 0.0
     # An offset twice as large reaches four times as far in the noise alone.
     twice = dataclasses.replace(found, offset=2 * offset)
     other = optimum(best.sample.corrected(twice.offset, twice.left(toy.rows)), (), best.raw, NONE)

@@ -212,16 +212,21 @@ def test_a_score_alone_says_nothing_against_a_model_where_the_mesh_moves_its_par
 def test_effects_are_refitted_where_more_is_missed_than_the_mesh_could_have_made() -> None:
     found = investigate(Toy(), seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
     largest = found.base.ranking.largest
+    leading = next(score for score in found.base.ranking.testable if score.statistic == largest)
+    alone = dataclasses.replace(found.base, ranking=dataclasses.replace(found.base.ranking, scores=(leading,)))
 
-    def asked(excess: float, ahead: float, smooth_p: float = 0.3) -> bool:
-        mesh = dataclasses.replace(found.mesh, checked=True, excess=excess, shift=np.ones(found.mesh.shift.shape))
+    def asked(excess: float, ahead: float, smooth_p: float = 0.3, cos: float = 1.0) -> bool:
+        """`cos`: how much what the mesh leaves looks like the leading effect."""
+        remainder = cos * math.sqrt(excess) * np.stack([leading.direction, np.zeros(len(leading.direction))], axis=1)
+        shift = np.ones(found.mesh.shift.shape)
+        mesh = dataclasses.replace(found.mesh, checked=True, excess=excess, shift=shift, remainder=remainder)
         law = dataclasses.replace(found.base.critical, value=largest - ahead)
         tests = dataclasses.replace(found.base.adequacy, omnibus_p=0.9, smooth_p=smooth_p, largest_p=0.004)
-        return out_of_the_mesh(mesh, dataclasses.replace(found.base, critical=law, adequacy=tests))
+        return out_of_the_mesh(mesh, dataclasses.replace(alone, critical=law, adequacy=tests))
 
     assert asked(4.0, 2.1) and asked(0.25, 0.6)
     assert not asked(4.0, 1.9) and not asked(0.25, 0.4)
-    assert asked(4.0, 1.9, smooth_p=0.001)
+    assert asked(4.0, 1.9, smooth_p=0.001) and asked(4.0, 1.9, cos=0.9)
 
 
 FAR = np.array([1.5, -1.0, 1.0, 0.5, -0.5])  # of raw parameters: from there a search takes many steps
@@ -232,7 +237,7 @@ def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> No
     found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
     base = found.base.best
     inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0)
-    assert inquiry.enough == base.rss - inquiry.needed
+    assert inquiry.enough == base.rss - inquiry.chance
     inquiry.leading = 0.9 * base.rss
     assert inquiry.enough > base.rss - inquiry.leading
 

@@ -79,7 +79,8 @@ def investigate(
     noise, best, mesh = _base(subject, chosen, kept)
     base, columns = _looked(best, families, alpha, seed)
     singles, pairs = [], []
-    inquiry = Inquiry(base, families, held, alpha, seed, mesh.margin, kept, _part(tell, 0.1, 0.6), reach=reach)
+    margins = {score.family.name: mesh.margin(score.direction) for score in base.ranking.testable}
+    inquiry = Inquiry(base, families, held, alpha, seed, margins, kept, _part(tell, 0.1, 0.6), reach=reach)
     if asks_for_effects(noise, base):
         inquiry.early = _early(best, families)
         singles = inquiry.singles() if inquiry.early is not None or out_of_the_mesh(mesh, base) else []

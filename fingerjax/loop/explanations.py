@@ -2,7 +2,7 @@
 
 An explanation stays in the set where
 
-    a  Delta = RSS_0 - RSS_k > c^2                    it explains more than chance would
+    a  Delta = RSS_0 - RSS_k > c_k^2                  it explains more than chance would, and what the mesh leaves
     b  the three tests of adequacy pass with it       and leaves nothing to be explained
     c  held-out conditions are not worse by 9         it predicts what it has not seen
     d  it lies inside what is plausible
@@ -51,7 +51,8 @@ class Explanation:
 
     - `families`, `look`: who, and what is left with them. `delta`: RSS_0 - RSS_k.
     - `eta`: share of the excess misfit that is gone, 0 where there was none.
-    - `drops`: family -> rise of RSS without it. `veto`: rise of chi-square on held-out conditions. `needed`: what each drop must exceed.
+    - `drops`: family -> rise of RSS without it. `veto`: rise of chi-square on held-out conditions. `needed`: family -> what its drop must
+      exceed.
     - `times_form`: how many times what any model is wrong by the prediction changes, from the base or from the first of two alone.
     """
 
@@ -61,7 +62,7 @@ class Explanation:
     eta: float
     drops: Mapping[str, float]
     veto: float
-    needed: float
+    needed: Mapping[str, float]
     times_form: float = math.inf
 
     @property
@@ -74,7 +75,7 @@ class Explanation:
 
     @property
     def significant(self) -> bool:
-        return self.best.settled and min(self.drops.values()) > self.needed
+        return self.best.settled and all(drop > self.needed[family] for family, drop in self.drops.items())
 
     @property
     def holds(self) -> bool:
@@ -119,7 +120,7 @@ class Inquiry:
 
     - `early`: the families ranked where the study began, where the base fit ended far from there: a fit that bends its parameters to
       imitate an effect hides that effect from a score at its end.
-    - `held` (rows,): conditions with a veto. `margin`: what the mesh asks on top of the critical value.
+    - `held` (rows,): conditions with a veto. `margins`: family -> what the mesh asks on top of the critical value.
     - `kept`: stores finished searches by name. `tell(share, what)` hears of the progress. `reach`: how far the search goes.
     """
 
@@ -128,7 +129,7 @@ class Inquiry:
     held: Bool[np.ndarray, "rows"]
     alpha: float
     seed: int
-    margin: float = 0.0
+    margins: Mapping[str, float] = field(default_factory=dict)
     kept: Keep = forget
     tell: Tell = lambda share, what: None
     early: Ranking | None = None
@@ -145,13 +146,17 @@ class Inquiry:
         While none leaves nothing to be explained, all that get half of the way are followed, as partners of a second effect.
         """
         alone = any(one.in_set for one in self.found.values())
-        behind = BEHIND * self.needed if alone else max(BEHIND * self.needed, 0.5 * self.base.best.rss)
-        return self.base.best.rss - max(self.leading - behind, self.needed)
+        behind = BEHIND * self.chance if alone else max(BEHIND * self.chance, 0.5 * self.base.best.rss)
+        return self.base.best.rss - max(self.leading - behind, self.chance)
 
     @property
-    def needed(self) -> float:
-        """Delta that chance, or what the mesh leaves, does not reach."""
-        return (self.base.critical.value + self.margin) ** 2
+    def chance(self) -> float:
+        """Delta that chance does not reach."""
+        return self.base.critical.value**2
+
+    def needed(self, family: str) -> float:
+        """Delta that chance and what the mesh leaves do not reach."""
+        return (self.base.critical.value + self.margins.get(family, 0.0)) ** 2
 
     def single(self, family: str) -> Explanation:
         """The best explanation by one family, refitted once: its best nodes, and a second term where one is not enough."""
@@ -184,9 +189,10 @@ class Inquiry:
         """
         best = self._on_its_own_mesh(best)
         others = [family for family in self.families if family.name not in families]
+        needed = {family: self.needed(family) for family in families}
         if not best.settled:
             nothing = dict.fromkeys(families, math.nan)
-            return Explanation(families, self._blank(best), math.nan, math.nan, nothing, math.nan, self.needed)
+            return Explanation(families, self._blank(best), math.nan, math.nan, nothing, math.nan, needed)
         seen = look(best, others, alpha=self.alpha, seed=self.seed)
         base = self.base.adequacy
         excess = base.misfit - base.df
@@ -196,7 +202,7 @@ class Inquiry:
         before = self.base.best if beside is None else beside
         change = (best.at.prediction + best.sample.offset) - (before.at.prediction + before.sample.offset)
         times = material.times_form(best.sample.subject.rows, best.sample.chosen, change)
-        return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, self.needed, times)
+        return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, needed, times)
 
     def _least(self, single: Explanation) -> float:
         """Its sum of squares, or where the search was given up what it did not promise to come below."""
@@ -209,7 +215,7 @@ class Inquiry:
         """With the mesh's correction made anew where the effect led, for those that are near the leader."""
         delta = self.base.best.rss - best.rss
         self.leading = max(self.leading, delta if best.settled else 0.0)
-        if not best.settled or delta < max(self.needed, NEARLY * self.leading) or not best.sample.offset.any():
+        if not best.settled or delta < max(self.chance, NEARLY * self.leading) or not best.sample.offset.any():
             return best
         for number in range(ASKED):
             known = correction(best.sample.subject, best.raw, best.phi, best.at)
@@ -232,7 +238,7 @@ class Inquiry:
         if not nodes:
             return None
         both = self._explained(first.families, min((self._fitted(node) for node in nodes), key=_misfit), {family.name: base.rss})
-        return both if both.best.settled and first.best.rss - both.best.rss > self.needed else None
+        return both if both.best.settled and first.best.rss - both.best.rss > self.needed(family.name) else None
 
     def _added(self, first: Explanation, node: Node) -> Optimum:
         sample, columns = first.best.sample, (*first.best.columns, *node.columns)
@@ -271,7 +277,7 @@ class Inquiry:
             self.tell(number / self.reach.pairs, f"refit with {' and '.join(names)}")
             self.paired.add(frozenset(names))
             fit = self._added(lead, node)
-            if fit.settled and lead.best.rss - fit.rss > self.needed:
+            if fit.settled and lead.best.rss - fit.rss > self.needed(names[1]):
                 without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
                 found.append(self._explained(names, fit, without, lead.best))
         return sorted(found, key=lambda one: -_number(one.delta))

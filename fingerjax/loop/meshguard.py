@@ -10,7 +10,8 @@ taken to lie anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to b
     lambda = |Q L^-1 rho D|^2 + |Q L^-1 H|^2 / 3 <= 1   and   the root of the like sum of J^+ L^-1 rho D <= 0.2 standard deviations
 
 A misfit is the mesh's own where lambda is too large and an error twice as large as D would make as much of it: a mesh that converges in
-first order leaves as much as D.
+first order leaves as much as D. Where the gate fails an effect is named only if it explains more than chance and what may be left together:
+its score must exceed the critical value by what the remainder, of the shape of D and H, would score for it.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ class MeshGuard:
 
     - `offset` (rows,): D. `left` (rows, rows): Sigma_disc.
     - `reach`: misfit, in the noise alone, that an error of twice D would make, and `misfit` what there is above chance.
-    - `excess`: lambda; `shift` (p,): of the raw parameters in standard deviations; `raw_shift` (p,): the same in raw numbers.
+    - `remainder` (sample, 2): Q L^-1 rho D and Q L^-1 H / sqrt 3. `excess`: lambda.
+    - `shift` (p,): of the raw parameters in standard deviations; `raw_shift` (p,): the same in raw numbers.
     """
 
     offset: Float[np.ndarray, "rows"]
@@ -75,6 +77,7 @@ class MeshGuard:
     misfit: float = 0.0
     rho: float = RHO
     checked: bool = True
+    remainder: Float[np.ndarray, "sample 2"] | None = None
 
     @property
     def passed(self) -> bool:
@@ -94,10 +97,12 @@ class MeshGuard:
     def gate(self) -> str:
         return "not checked" if not self.checked else "passed" if self.passed else "failed"
 
-    @property
-    def margin(self) -> float:
-        """By how much a score must exceed its critical value, so that what is left of the mesh's error cannot have made it."""
-        return 0.0 if self.passed else math.sqrt(max(self.excess, 0.0))
+    def margin(self, direction: Float[np.ndarray, "sample"]) -> float:
+        """By how much the score of an effect must exceed its critical value, so that what is left of the mesh's error cannot have made it.
+
+        **Arguments:** `direction`: its trace as a unit vector, projected.
+        """
+        return 0.0 if self.passed or self.remainder is None else float(np.linalg.norm(direction @ self.remainder))
 
 
 def unchecked(rows: int, p: int) -> MeshGuard:
@@ -140,7 +145,8 @@ def guard(best: Optimum, known: Correction, rho: float = RHO) -> MeshGuard:
     reach = 4.0 * _size(projection, bare.columns(np.stack([known.offset, BETWEEN * known.softness], axis=1)))
     residual = projection(bare.residual(best.at, best.raw))
     misfit = float(np.sum(residual**2)) - (residual.size - projection.rank)
-    return MeshGuard(known.offset, left, _size(best.projection, whitened), shift, raw, reach, misfit, rho)
+    remainder = best.projection(whitened)
+    return MeshGuard(known.offset, left, float(np.sum(remainder**2)), shift, raw, reach, misfit, rho, remainder=remainder)
 
 
 def _size(projection: Projection, columns: Float[np.ndarray, "rows k"]) -> float:

@@ -51,7 +51,8 @@ def asks_for_effects(noise: Noise, base: Look) -> bool:
 
 def out_of_the_mesh(mesh: MeshGuard, base: Look) -> bool:
     """Whether a rejected base misses more than the mesh could have made: then effects are worth refitting, which may take minutes each."""
-    return base.adequacy.bends or base.ranking.largest > base.critical.value + mesh.margin
+    worth = (score for score in base.ranking.testable if score.matters)
+    return base.adequacy.bends or any(score.statistic > base.critical.value + mesh.margin(score.direction) for score in worth)
 
 
 def decide(
@@ -178,7 +179,7 @@ def _named(kind: str, members: tuple[Explanation, ...]) -> str:
     sized = f"{first.name} ({sizes(first)})"
     removes = f"removes {min(first.eta, 1.0):.0%} of the misfit beyond the noise"
     if first.eta == 0.0:  # the misfit is no larger than the noise; its shape gave it away
-        removes = f"lowers the squared misfit by {first.delta:.3g} where chance would by {first.needed:.3g}"
+        removes = f"lowers the squared misfit by {first.delta:.3g} where chance would by {max(first.needed.values()):.3g}"
     if kind == ATTRIBUTED:
         return f"The model lacks {sized}: with it alone nothing is left to be explained, and it {removes}."
     if kind == MAINLY:
