@@ -33,6 +33,7 @@ from ..parameters import Parameter
 from ..study import Study
 from .pressing import settle
 from .problem import Health, Problem
+from .programs import forget_when_many
 from .readings import Instruments, Prediction, Solved
 from .rigs import Skin, foci, lay, plans, tips
 from .shape import Tell, mesh_of, solid_of, unheard
@@ -56,6 +57,7 @@ class Model(eqx.Module):
 
     def solved(self, values: Values, *, moving: tuple[str, ...] = ()) -> Solved:
         """The model with its solves and contacts at these values done: it holds there, and so do derivatives in the `moving` names."""
+        forget_when_many()
         lame = [tissue.lame() for tissue in self.instruments.materials(values)]
         bodies = self.condensed(lame)
         known = settle(self.instruments.rigs, bodies, self.body, self._directions(values, moving), self.instruments.added, values)
