@@ -189,6 +189,12 @@ def test_the_next_experiment_is_the_one_that_tells_rivals_apart() -> None:
     assert found[0].condition == "telling" and len(found) == 3
     assert found[0].d2_after >= 13 > found[0].d2_now and found[0].replicates < found[1].replicates
     assert next_experiments(best, rivals[:1], columns) == []
+    # A threshold that ended at nothing would have to grow a trillionfold to look like a rival; it stays where it is.
+    jacobian = best.jacobian.copy()
+    jacobian[:, 0] = 1e-13 * best.sample.columns(columns[rivals[0].column.key][:, None])[:, 0]
+    imitating = dataclasses.replace(best, jacobian=jacobian)
+    held = dataclasses.replace(imitating, free=np.arange(len(best.free)) > 0)
+    assert next_experiments(imitating, rivals, columns)[0].d2_now < 1e-6 < next_experiments(held, rivals, columns)[0].d2_now
 
 
 def test_the_curve_through_a_residual_leaves_the_parameters_where_they_are() -> None:

@@ -1,7 +1,7 @@
 """Programs that JAX compiled, forgotten in time: each maps tens of pieces of memory, and Linux allows a process some 65,000.
 
-A process that asks for one more is not told that it has too many: compilation ends with "Cannot allocate memory" while most of the memory is
-free, and the process with a segmentation fault. A study of many indenters, each with a pad of its own size, compiles that many in half an hour.
+A process that asks for one more is not told that it has too many: compilation ends with "Cannot allocate memory" while most of the memory
+is free, and the process with a segmentation fault. A diagnosis of many indenters, each with a pad of its own size, gets there.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .adequacy import Look
 from .record import Confusable, NextExperiment
@@ -64,7 +64,7 @@ def next_experiments(best: Optimum, rivals: Sequence[Rival], columns: Mapping[st
     """The three measurements that would separate the rivals best, with the repeats that they need.
 
     **Arguments:** `best`: the base fit. `columns`: key -> (rows,) of the subject at its optimum. Repeats of conditions that were fitted
-    are tried beside what the subject proposes.
+    are tried beside what the subject proposes. Base parameters at a limit stay there: they imitate nothing.
     """
     if len(rivals) < 2:
         return []
@@ -72,7 +72,7 @@ def next_experiments(best: Optimum, rivals: Sequence[Rival], columns: Mapping[st
     before = distances(now, rivals)
     found = []
     for proposal in (*best.sample.subject.proposals(best.raw), *repeated(best, columns)):
-        added = _added(proposal, rivals)
+        added = _added(proposal, rivals, best.free[: len(best.raw)])
         repeats, after = _enough(now, added, rivals)
         tells = float(np.linalg.slogdet(_scaled(now + added)[: len(best.raw), : len(best.raw)])[1])
         record = NextExperiment(proposal.condition, repeats, min(before.values()), min(after.values()), after)
@@ -116,13 +116,14 @@ def repeated(best: Optimum, columns: Mapping[str, np.ndarray]) -> list[Proposal]
 
 def _gram(best: Optimum, rivals: Sequence[Rival], columns: Mapping[str, np.ndarray]) -> Float[np.ndarray, "q q"]:
     effects = best.sample.columns(np.array([columns[rival.column.key] for rival in rivals], dtype=float).T)
-    whole = np.concatenate([best.jacobian[:, : len(best.raw)], effects], axis=1)
+    p = len(best.raw)
+    whole = np.concatenate([np.where(best.free[:p], best.jacobian[:, :p], 0.0), effects], axis=1)
     return whole.T @ whole
 
 
-def _added(proposal: Proposal, rivals: Sequence[Rival]) -> Float[np.ndarray, "q q"]:
+def _added(proposal: Proposal, rivals: Sequence[Rival], free: Bool[np.ndarray, "p"]) -> Float[np.ndarray, "q q"]:
     effects = np.array([proposal.columns[rival.column.key] for rival in rivals], dtype=float).T
-    whole = np.concatenate([proposal.theta_jacobian, effects], axis=1) / proposal.sigma[:, None]
+    whole = np.concatenate([np.where(free, proposal.theta_jacobian, 0.0), effects], axis=1) / proposal.sigma[:, None]
     return whole.T @ whole
 
 
