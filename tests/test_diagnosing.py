@@ -153,8 +153,8 @@ def test_what_a_law_adds_at_either_of_two_steps_is_found_once(tmp_path: Path, mo
     np.testing.assert_allclose(there[6.0].prediction - there[5.0].prediction, 1.0)
 
 
-@pytest.mark.parametrize("effect", ["epidermis_thickness", "tip_radius"])
-def test_an_effect_on_the_mesh_compiles_no_contact_anew_and_another_amount_of_it_nothing(
+@pytest.mark.parametrize("effect", ["epidermis_thickness", "tip_radius", "contact_offset"])
+def test_an_effect_compiles_no_contact_anew_and_another_amount_of_it_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, effect: str
 ) -> None:
     """Compiled programs are kept: thousands of them end a process where the system allows no more mappings of memory."""

@@ -13,6 +13,7 @@ from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy, predicted
 from fingerjax.errors import InputError
 from fingerjax.loop import diagnosis
 from fingerjax.loop.diagnosis import diagnose, investigate
+from fingerjax.loop.explanations import FAMILIES as REFITTED
 from fingerjax.loop.explanations import Inquiry, ahead_of, starts
 from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
@@ -248,6 +249,23 @@ def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> No
 
     assert searched("contact_offset").settled and searched("contact_offset").rss < base.rss - 100.0
     assert not searched("epidermis_thickness").settled and "given up" in searched("epidermis_thickness").reason
+
+
+def test_where_one_effect_is_enough_those_that_promise_next_to_nothing_are_not_refitted() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.02})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+    inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0)
+    most = found.base.ranking.promising[:REFITTED]
+    little = {score.family.name for score in most if score.promising.promise < 0.25 * inquiry.needed(score.family.name)}
+    assert little and not any(inquiry._remote(name) for name in little)
+    refitted = {one.families[0] for one in found.explanations if len(one.families) == 1}
+    assert "contact_offset" in refitted and found.verdict.names[0] == "contact_offset"
+    assert refitted == {score.family.name for score in most} - little
+    # Where none is enough any may be, whatever its score.
+    enough = next(one for one in found.explanations if one.families == ("contact_offset",))
+    for veto, skipped in ((0.0, True), (99.0, False)):
+        inquiry.found = {"contact_offset": dataclasses.replace(enough, veto=veto)}
+        assert all(inquiry._remote(name) is skipped for name in little)
 
 
 def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> None:

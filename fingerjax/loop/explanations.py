@@ -37,6 +37,7 @@ NEARLY = 0.7  # of the leader's fall of RSS from which on the mesh is asked agai
 BEHIND = 10.0  # critical values by which an explanation may be behind the leader and still be followed to its end
 ASKED, SAME = 2, 0.5  # times that the mesh is asked, and change of what it says, in standard errors, that is none
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
+REMOTE = 0.25  # of the fall of RSS that an effect needs: one that promises less is not refitted where another is enough
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is plausible: the first with which the model has an answer
 LEADS, RIVALS = 4, 3  # singles, and what each may be paired with
@@ -250,15 +251,27 @@ class Inquiry:
         return min(fits, key=_misfit)
 
     def singles(self) -> list[Explanation]:
-        """The families that promise most, refitted, best first; where there are two rankings, by turns."""
+        """The families that promise most, refitted, best first; where there are two rankings, by turns.
+
+        A refit finds more than a score expects where an effect is large and bends, but that is of a large misfit: where one effect is
+        enough, those of which the score expects next to nothing are left out.
+        """
         late = [score.family.name for score in self.base.ranking.promising]
         early = [] if self.early is None else [score.family.name for score in self.early.promising if score.family.name in late]
         turns = [name for pair in zip_longest(early, late) for name in pair if name is not None]
         ranked = list(dict.fromkeys(turns))[:FAMILIES]
         for number, name in enumerate(ranked):
+            if self._remote(name):
+                continue
             self.tell(number / len(ranked), f"refit with {name}")
             self.single(name)
         return sorted(self.found.values(), key=lambda one: -_number(one.delta))
+
+    def _remote(self, family: str) -> bool:
+        """Whether an effect promises next to nothing beside one that is enough."""
+        if self.early is not None or not any(one.in_set for one in self.found.values()):
+            return False
+        return self.base.ranking[family].promising.promise < REMOTE * self.needed(family)
 
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
         """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.

@@ -27,6 +27,7 @@ from .variants import Amounts, Variants
 BESIDE = 1e-5  # of an effect's plausible size: the step to another body; what differs then is computed exactly
 NEAR = 0.02  # of an effect's plausible size: the step of a difference
 TURN = 1e-5  # of a raw parameter: the step of a difference
+TOGETHER = 8  # directions of slopes are filled up to a multiple of these
 LIKE = 0.1  # of a measurement's readings, root mean square, that a coarser mesh may be off by for laws to be followed on it
 
 
@@ -151,6 +152,7 @@ class ElasticFinger:
         others = {name: value for name, value in values.items() if name not in {one.name for one in self.parameters}}
         ways = _ways(len(raw), others, moved)
         value, slopes, sound = _sensitive(solved, self.parameters, jnp.asarray(raw), others, ways)
+        slopes = slopes[: len(raw) + len(moved)]
         return (np.asarray(value), np.asarray(slopes).T) if bool(sound) and bool(jnp.all(jnp.isfinite(slopes))) else None
 
     def alike(self, rough: Assembled, own: Assembled) -> bool:
@@ -232,8 +234,10 @@ class ElasticFinger:
 
 
 def _ways(p: int, others: dict[str, Array], moved: list[str]) -> tuple[Array, dict[str, Array]]:
-    """Unit directions, (p + k, p) in the raw parameters and (p + k,) in every other value."""
-    count = p + len(moved)
+    """Unit directions, (p + k, p) in the raw parameters and (p + k,) in every other value; filled up with directions that lead nowhere,
+    so that a search compiles the same code with one effect, with two, and with none.
+    """
+    count = -(-(p + len(moved)) // TOGETHER) * TOGETHER
     along = {name: jnp.zeros(count).at[p + moved.index(name)].set(1.0) if name in moved else jnp.zeros(count) for name in others}
     return jnp.eye(count, p), along
 
