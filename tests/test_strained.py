@@ -6,12 +6,14 @@ import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fingerjax._results import RESULTS
 from fingerjax.contact.chord import Chording
+from fingerjax.contact.indentation import Contact
 from fingerjax.contact.strained import Indenting
 from fingerjax.fem.equilibrium import Newton, Tissue, find
 from fingerjax.fem.multigrid import hierarchy
@@ -114,6 +116,21 @@ def test_a_warm_start_saves_iterations_and_changes_nothing(everything: Assembled
     warm, cold = (strained_readings(everything.model, near, STIFFENING, start=start) for start in (strained, None))
     assert warm.iterations < 0.8 * cold.iterations
     SAME_STATE.check(rows(warm), rows(cold))
+
+
+def on_more_hats(contact: Contact) -> Contact:
+    """As an indenter that leans or is wider would have left it: on a pad that is cut from the skin elsewhere."""
+    return eqx.tree_at(lambda one: one.active, contact, jnp.concatenate([contact.active, jnp.ones(3, bool)]))
+
+
+@pytest.mark.slow
+def test_a_start_from_under_another_indenter_gives_no_hats(everything: Assembled, strained: Strained) -> None:
+    cases = tuple(
+        tuple(ended._replace(rest=ended.rest and ended.rest._replace(contact=on_more_hats(ended.rest.contact))) for ended in rig)
+        for rig in strained.cases
+    )
+    again = strained_readings(everything.model, at(), STIFFENING, start=dataclasses.replace(strained, cases=cases))
+    SAME_STATE.check(rows(again), rows(strained))
 
 
 def law(phi: jnp.ndarray) -> AbstractTissue:

@@ -54,7 +54,7 @@ def windows(whole: Pad, indentations: Sequence[Indentation | Sequence[Indentatio
     come as a list.
 
     `columns` says which of the whole pad's nodes each window has. Short windows are filled up with facets of
-    no area.
+    no area, and all of them to a length with `room`.
     """
     together = [[each] if isinstance(each, Indentation) else each for each in indentations]
     cuts = [_cut(whole, np.flatnonzero(np.any([_reached(whole, one) for one in each], axis=0))) for each in together]
@@ -105,9 +105,21 @@ def _cut(whole: Pad, chosen: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+def room(count: int) -> int:
+    """`count` rounded up to one of four lengths between powers of two: code is compiled for each length that there is, and a pad has a few
+    facets more or less whenever an indenter or a mesh changes a little.
+    """
+    step = 2 ** max(int(count).bit_length() - 3, 0)
+    return -(-count // step) * step
+
+
+def filled(part: np.ndarray, length: int, value: float | None = 0) -> np.ndarray:
+    """An array made longer by entries of `value`, or by its first entry where that is None."""
+    more = np.broadcast_to(part[:1] if value is None else np.asarray(value, part.dtype), (length - len(part), *part.shape[1:]))
+    return np.concatenate([part, more])
+
+
 def _stacked(parts: list[np.ndarray], empty: bool) -> Array:
     """Arrays of different lengths along a new axis: short ones repeat their first entry, or are filled with 0 where that says `empty`."""
-    longest = max(map(len, parts))
-    like = np.zeros_like if empty else np.asarray
-    filled = [np.concatenate([one, np.broadcast_to(like(one[:1]), (longest - len(one), *one.shape[1:]))]) for one in parts]
-    return jax.device_put(np.stack(filled))  # asarray would compile a program for each shape
+    longest = room(max(map(len, parts)))
+    return jax.device_put(np.stack([filled(one, longest, 0 if empty else None) for one in parts]))  # asarray would compile for each shape

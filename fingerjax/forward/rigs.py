@@ -15,7 +15,7 @@ from ..contact.footprint import Interface, interface, only
 from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, from_spec
 from ..contact.locate import surface_functionals
 from ..contact.pad import Pad, functionals
-from ..contact.reach import Indentation, pad_for, windows
+from ..contact.reach import Indentation, filled, pad_for, room, windows
 from ..effects.added import Effects
 from ..effects.records import Context, Placed
 from ..errors import InputError
@@ -28,6 +28,7 @@ from ..measurements import Measurement, Receptor
 from ..mesh import Focus
 from .wiring import Wiring
 
+COLUMNS = 32  # all columns together are filled up to a multiple of these, for code is compiled for each number of them
 LARGEST_STRAIN_SHARE = 0.35  # of the finger's height: no travel under force control goes deeper
 
 
@@ -251,6 +252,8 @@ def lay(planned: list[Plan], finger: Finger, body: Body, solid: AbstractSolid, k
         if pressed is not None:
             columns = jax.device_put(np.asarray(columns) + _append(matrices, pressed))
         rigs.append(_rig(plan, columns, geometry, reading))
+    count = sum(matrix.shape[1] for matrix in matrices)
+    matrices.append(sp.csc_matrix((3 * len(finger.nodes), -count % COLUMNS)))
     return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers, skin)
 
 
@@ -264,7 +267,7 @@ def _skin(planned: list[Plan], finger: Finger) -> Skin:
         columns, geometry, pressed = cut.columns, _interfaces(plan.indenter, cut, jnp.asarray(plan.origins)), None
         if len(plan.origins) == 1:
             pressed, geometry = _pressures(cut, geometry, len(finger.nodes))
-            columns = jax.device_put(np.arange(pressed.shape[1])[None])
+            columns = jax.device_put(filled(np.arange(pressed.shape[1]), len(geometry.area[0]))[None])
         places.append((columns, geometry, pressed))
     return Skin(planned, pad, any(len(plan.origins) > 1 for plan in planned), places)
 
@@ -283,7 +286,9 @@ def _interfaces(indenter: AbstractIndenter, cut: Pad, origins: Float[Array, "pos
 
 
 def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix, Interface]:
-    """The hats of a single pose as columns (3n, k), and the interface that presses on them instead of on nodes."""
+    """The hats of a single pose as columns (3n, k), and the interface that presses on them instead of on nodes, with `room` for hats that
+    bear nothing.
+    """
     kept = np.flatnonzero(np.asarray(geometry.area)[0] > 0)
     if not len(kept):
         remedy = "write a smaller pad_mm, or least_mm, under finger: resolution:"
@@ -292,7 +297,17 @@ def _pressures(cut: Pad, geometry: Interface, nodes: int) -> tuple[sp.csc_matrix
     rows = 3 * np.asarray(cut.nodes)[0][load.row] + 1
     matrix = sp.csc_matrix((load.data, (rows, load.col)), shape=(3 * nodes, len(kept)))
     pressing = only(jax.tree.map(lambda leaf: np.asarray(leaf)[0], geometry), kept, np.eye(len(kept)))
-    return matrix, jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[None]), pressing)
+    return matrix, jax.tree.map(lambda leaf: jax.device_put(leaf[None]), _with_room(pressing))
+
+
+def _with_room(pressing: Interface) -> Interface:
+    """An interface that presses on columns of its own, on the host, with hats that bear nothing and facets of no area."""
+    hats, facets = room(len(pressing.area)), room(len(pressing.pieces))
+    overlap, area, rim = (filled(np.asarray(part), hats) for part in (pressing.overlap, pressing.area, pressing.rim))
+    pieces, covered = (filled(np.asarray(part), facets) for part in (pressing.pieces, pressing.covered))
+    load = np.diag((np.arange(hats) < len(pressing.area)).astype(float))
+    rest = overlap, area, rim, np.asarray(pressing.lowest), pieces, covered
+    return jax.tree.unflatten(jax.tree.structure(pressing), (load, *rest))
 
 
 def _indentations(plan: Plan, limit: float) -> list[Indentation]:

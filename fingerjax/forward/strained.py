@@ -236,13 +236,19 @@ def _followed(
         if chord is None:
             yield UNTRIED
             continue
-        warm_start = None if own is None or own.rest is None else (own.rest.displacement, own.rest.contact.active)
+        warm_start = None if own is None or own.rest is None else (own.rest.displacement, _touched(place, own.rest, imposed))
         ended, chord = _found(tissue, place, chord, imposed, warm_start, last, chording)
         last = last if ended.rest is None else ended.rest
         spent += ended.factorisations
         if spent:
             known.chords.keep(case, tissue.body, place, chord)
         yield ended._replace(factorisations=spent, tangent=spent > 0 or (own is not None and own.tangent))
+
+
+def _touched(place: Place, rest: Resting, imposed: Imposed) -> Array:
+    """The hats that touched where an earlier search ended; of another pad, as under an indenter that leans, they would mean nothing."""
+    active = rest.contact.active
+    return active if active.shape == place.interface.area.shape else place.overlapped(imposed)
 
 
 Begin = tuple[np.ndarray, Array]  # a displacement (3n,), mm, and the touching hats
