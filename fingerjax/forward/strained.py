@@ -246,7 +246,9 @@ def _followed(
 
 
 def _touched(place: Place, rest: Resting, imposed: Imposed) -> Array:
-    """The hats that touched where an earlier search ended; of another pad, as under an indenter that leans, they would mean nothing."""
+    """The hats that touched where an earlier search ended, a guess to begin with; none can be had from a pad of another length, as one that
+    is cut under an indenter that leans.
+    """
     active = rest.contact.active
     return active if active.shape == place.interface.area.shape else place.overlapped(imposed)
 
