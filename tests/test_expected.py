@@ -101,14 +101,14 @@ def test_a_tangent_serves_bodies_that_move_alike_only(ready: Assembled) -> None:
     place, _ = place_of(model, model.instruments.rigs[0], 0)
     chord = tangent_chord(tissue, place, np.zeros(model.body.nodes.size))
     assert chord is not None and chord.condensed.memory > 0
-    chords.keep((0, 0), model.body, place, chord)
-    assert chords.find((0, 0), model.body, place) is chord and chords.find((0, 1), model.body, place) is None
+    chords.keep(0, model.body, place, chord)
+    assert chords.find(0, model.body, place) is chord and chords.find(1, model.body, place) is None
     freed = eqx.tree_at(lambda one: one.free, model.body, jnp.ones_like(model.body.free))
-    assert chords.find((0, 0), freed, place) is None
+    assert chords.find(0, freed, place) is None
     full = Chords(room=int(1.5 * chord.condensed.memory))
-    for case in ((0, 0), (0, 1)):
+    for case in (0, 1):
         full.keep(case, model.body, place, chord)
-    assert full.find((0, 0), model.body, place) is chord and full.find((0, 1), model.body, place) is None
+    assert full.find(0, model.body, place) is chord and full.find(1, model.body, place) is None
 
 
 def test_both_ways_of_asking_for_slopes_agree(ready: Assembled, known: Strained) -> None:
@@ -134,7 +134,7 @@ def test_what_moves_nothing_has_no_slopes_and_asks_for_no_tangent(ready: Assembl
     rows, found = strained_slopes(ready.model, lambda at: of(HERE), jnp.ones(2), known, chords=chords)
     assert rows.shape == (len(known.prediction.readings[0]), 2) and not np.any(rows)
     assert all(slope.shape == (2, ready.model.body.nodes.size) and not np.any(slope) for rig in found.slopes for slope in rig)
-    assert chords.find((0, 0), ready.model.body, place_of(ready.model, ready.model.instruments.rigs[0], 0)[0]) is None
+    assert chords.find(0, ready.model.body, place_of(ready.model, ready.model.instruments.rigs[0], 0)[0]) is None
 
 
 @pytest.mark.slow

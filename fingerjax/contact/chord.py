@@ -82,13 +82,16 @@ class Chord:
 
 
 class Chords:
-    """Chords of cases, (rig, case), kept from one search to the next: as many as there is `room` for, in bytes. The first come stay."""
+    """Chords of cases, counted through all rigs, kept from one search to the next: of the first so many as there is `room` for, in bytes.
+
+    Which are kept does not depend on who comes first, so that cases may be looked for side by side.
+    """
 
     def __init__(self, room: int = ROOM):
         self.room = room
-        self._kept: dict[tuple[int, int], tuple[Body, Columns, Chord]] = {}
+        self._kept: dict[int, tuple[Body, Columns, Chord]] = {}
 
-    def find(self, case: tuple[int, int], body: Body, place: Place) -> Chord | None:
+    def find(self, case: int, body: Body, place: Place) -> Chord | None:
         """The one of a case, if it was made for a body that may move in the same ways and is pressed at the same nodes."""
         if case not in self._kept:
             return None
@@ -96,14 +99,13 @@ class Chords:
         now, then = ((one.free, one.modes, pressed.node, pressed.weight) for one, pressed in ((body, place.columns), (other, columns)))
         return chord if all(map(np.array_equal, now, then)) else None
 
-    def drop(self, case: tuple[int, int]) -> None:
+    def drop(self, case: int) -> None:
         """Let go of the one of a case, before another is made for it: its analysis serves that one too."""
         self._kept.pop(case, None)
 
-    def keep(self, case: tuple[int, int], body: Body, place: Place, chord: Chord) -> None:
+    def keep(self, case: int, body: Body, place: Place, chord: Chord) -> None:
         self.drop(case)
-        held = sum(one.condensed.memory for *_, one in self._kept.values())
-        if 0 < chord.condensed.memory <= self.room - held:
+        if 0 < (case + 1) * chord.condensed.memory <= self.room:
             self._kept[case] = body, place.columns, chord
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import weakref
 from dataclasses import dataclass
 
@@ -49,11 +50,36 @@ class _Apart:
         self.schur = factor.factor(K.data)
 
 
+class _Spares:
+    """Factorisations that nothing asks for any more: what was analysed serves the next of the same pattern. Of many the oldest go."""
+
+    def __init__(self) -> None:
+        self._all: list[tuple[bytes, AbstractCholesky]] = []
+        self._one_at_a_time = threading.RLock()  # the interpreter may let go of one, and hand it in, in the midst of this
+
+    def take(self, pattern: bytes) -> AbstractCholesky | None:
+        with self._one_at_a_time:
+            fits = [number for number, (other, _) in enumerate(self._all) if other == pattern]
+            return self._all.pop(fits[-1])[1] if fits else None
+
+    def put(self, pattern: bytes, factor: AbstractCholesky) -> None:
+        with self._one_at_a_time:
+            self._all.append((pattern, factor))
+            while sum(one.memory for _, one in self._all) > SPARE:
+                self._all.pop(0)
+
+    def clear(self) -> None:
+        with self._one_at_a_time:
+            self._all.clear()
+
+
 class Host:
     """The assembled pattern of one body, or of several that share elements and supports, and the last factorisation done with it; lives
     outside compiled code.
 
     `how`: the factorisation to use, PARDISO's where it is installed and nothing is said.
+
+    Several threads may ask it: each strained stiffness has a factorisation of its own, and those of the linear body come one at a time.
     """
 
     def __init__(self, body: Body, how: type[AbstractCholesky] | None = None):
@@ -65,15 +91,16 @@ class Host:
         self._stiffness: AbstractStiffness | None = None
         self._K = sp.csr_matrix((0, 0))
         self._last: list[_Answered] = []
-        self._apart: _Apart | None = None
-        self._spare: list[tuple[bytes, AbstractCholesky]] = []
+        self._own = threading.local()  # of each thread the strained stiffness that it asked about last
+        self._one_at_a_time = threading.RLock()
+        self._spares = _Spares()
 
     def forget(self) -> None:
         """Let go of every factorisation that can be made again, and of what was answered but for the last."""
-        self._factor = self._stiffness = self._apart = None
+        self._factor = self._stiffness = self._own.apart = None
         self._last = self._last[-1:]
         self._kept = np.zeros_like(self._kept)
-        self._spare.clear()
+        self._spares.clear()
 
     def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         """The body behind its columns; the last few linear ones are kept, for fits that move something else or all constants in proportion.
@@ -82,6 +109,11 @@ class Host:
         """
         if not isinstance(stiffness, Elastic):
             return self._condensed(stiffness, columns).condensed
+        with self._one_at_a_time:
+            return self._condensed_linear(stiffness, columns)
+
+    def _condensed_linear(self, stiffness: Elastic, columns: Columns) -> AbstractCondensed:
+        """That of the linear body, which no other thread may ask meanwhile."""
         known = [one for one in self._last if one.columns is columns.weight]
         for answered in known:
             if _same(answered.stiffness, stiffness):
@@ -131,15 +163,15 @@ class Host:
     def _factorised_apart(self, stiffness: AbstractStiffness, kept: np.ndarray) -> _Apart:
         """A factorisation beside that of the linear body, of those that nothing asks for any more where there is one."""
         K, pattern = stiffness.matrix(self.assembled), kept.tobytes()
-        fits = [number for number, (other, _) in enumerate(self._spare) if other == pattern]
-        factor = self._spare.pop(fits[-1])[1] if fits else self._how(K.indptr, K.indices, kept if kept.any() else None)
+        factor = self._spares.take(pattern) or self._how(K.indptr, K.indices, kept if kept.any() else None)
         try:
-            self._apart = _Apart(stiffness, K, factor)
+            apart = _Apart(stiffness, K, factor)
         except Indefinite:
-            _spare(self._spare, pattern, factor)
+            self._spares.put(pattern, factor)
             raise
-        weakref.finalize(self._apart, _spare, self._spare, pattern, factor)
-        return self._apart
+        weakref.finalize(apart, self._spares.put, pattern, factor)
+        self._own.apart = apart
+        return apart
 
     def _read(
         self, flat: sp.csr_matrix, surface: np.ndarray, others: np.ndarray, schur: np.ndarray | None, kept: np.ndarray
@@ -190,17 +222,25 @@ class Host:
 
     def direct(self, stiffness: AbstractStiffness, right: np.ndarray) -> tuple[np.ndarray, float]:
         """Displacements (m, n, 3) under loads (free, m) between free unknowns, and the residual of them all."""
-        apart = self._apart if self._apart is not None and self._apart.stiffness is stiffness else None
-        full, x = self._backed(stiffness, right, apart)
-        return full, _probed(self._K if apart is None else apart.K, x, right) if right.shape[1] else 0.0
+        last: _Apart | None = getattr(self._own, "apart", None)
+        if last is not None and last.stiffness is stiffness:
+            full, x = self._backed(stiffness, right, last)
+            return full, _probed(last.K, x, right)
+        with self._one_at_a_time:
+            full, x = self._backed(stiffness, right)
+            return full, _probed(self._K, x, right)
 
     def _backed(self, stiffness: AbstractStiffness, right: np.ndarray, apart: _Apart | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The same displacements, and those of the free unknowns (free, m), by a factorisation that has been probed before."""
+        if not right.shape[1]:
+            return np.zeros((0, self.nodes, 3)), right
         if apart is None:
-            self._at(stiffness)
-        factor = self._factor if apart is None else apart.factor
-        assert factor is not None
-        x = factor.solve(right) if right.shape[1] else right
+            with self._one_at_a_time:
+                self._at(stiffness)
+                assert self._factor is not None
+                x = self._factor.solve(right)
+        else:
+            x = apart.factor.solve(right)
         full = np.zeros((right.shape[1], 3 * self.nodes))
         full[:, self.assembled.free] = x.T
         return full.reshape(-1, self.nodes, 3), x
@@ -220,13 +260,6 @@ class Host:
         schur = self._factor.factor(self._K.data)
         self._stiffness = stiffness
         return schur
-
-
-def _spare(spares: list[tuple[bytes, AbstractCholesky]], pattern: bytes, factor: AbstractCholesky) -> None:
-    """What was analysed serves again; of many the oldest go."""
-    spares.append((pattern, factor))
-    while sum(one.memory for _, one in spares) > SPARE:
-        spares.pop(0)
 
 
 def _same(one: AbstractStiffness | None, other: AbstractStiffness) -> bool:
@@ -274,6 +307,8 @@ def _probed(upper: sp.csr_matrix, x: np.ndarray, right: np.ndarray) -> float:
 
     A factorisation fails as a whole, not in one column, and a combination of all of them sees that at a fraction of the cost.
     """
+    if not right.shape[1]:
+        return 0.0
     mix = np.random.default_rng(0).choice([-1.0, 1.0], size=(right.shape[1], min(PROBES, right.shape[1])))
     load, u = right @ mix, x @ mix
     remainder = load - (upper @ u + upper.T @ u - upper.diagonal()[:, None] * u)

@@ -49,6 +49,11 @@ class AbstractSolver(eqx.Module):
     def reduce(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:
         """Reduce the body to its columns; to be called outside of compiled code."""
 
+    @property
+    def workers(self) -> int | None:
+        """How many may ask it at once, outside of compiled code; None where as many as there are processors."""
+        return 1
+
     def forget(self) -> None:
         """Let go of memory for what can be computed again, as for a mesh that is asked rarely. Outside of compiled code."""
 
@@ -198,6 +203,10 @@ class Factorised(AbstractSolver):
     """Sparse Cholesky on the host."""
 
     host: Host = eqx.field(static=True)
+
+    @property
+    def workers(self) -> int | None:
+        return None
 
     def held(self, stiffness: AbstractStiffness, loads: Fields) -> Solution:
         # Known numbers are solved for at once. A callback from compiled code is for traced ones only: compiled programs that hold one

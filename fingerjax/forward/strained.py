@@ -11,8 +11,10 @@ the displacement gradient.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
+from itertools import accumulate
+from threading import Event, Lock
 from typing import NamedTuple
 
 import equinox as eqx
@@ -32,6 +34,7 @@ from ..fem.columns import Columns
 from ..fem.condensed import AbstractCondensed, first_like
 from ..fem.equilibrium import Newton, State, Tissue, find
 from ..fem.tissue import AbstractTissue
+from ..side_by_side import side_by_side
 from .echoes import firsts
 from .model import Model
 from .problem import Health
@@ -101,7 +104,8 @@ def strained_readings(
 ) -> Strained:
     """Every reading at these values of a study whose tissue follows a law; outside of compiled code.
 
-    The first case without an equilibrium ends it: what comes after would be looked for long, and is of no use alone.
+    Load paths are followed side by side. A case without an equilibrium ends all of them: the others would be looked for long, and are of
+    no use alone.
 
     **Arguments:** `start`, what was found at neighbouring values or of a neighbouring law. `chords`: tangents of its cases, which are
     renewed. `quantity`: what the receptor is taken to feel.
@@ -113,27 +117,37 @@ def strained_readings(
     linear = {number: _once(partial(model.solver.condense, model.body, one.lame, model.columns)) for number, one in enumerate(tissues)}
     likes = [first_like(model.body, [one.lame for one in tissues], variant)[0] for variant in range(len(tissues))]
     imposed = [impositions(model.instruments.added, rig, values) for rig in rigs]
-    first = firsts(model, imposed)
+    first, count = firsts(model, imposed), numbered(rigs)
     for variant, (tissue, like) in enumerate(zip(tissues, likes, strict=True)):
         condensed = linear[like] if like in likes[variant + 1 :] else linear.pop(like)
+        ways, echoes = [], []
         for number, rig in enumerate(rigs):
             for pose, path in paths(rig, variant):
                 if all(first[number][case] != (number, case) for case in path):
-                    for case in path:
-                        cases[number][case] = _heard(cases, first[number][case])
+                    echoes += [(number, case) for case in path]
                     continue
-                place, own = place_of(model, rig, pose)
                 known = [None if start is None else start.cases[number][case] for case in path]
                 twins = [None if like == variant else twin(rig, case, like) for case in path]
                 warm = [known[i] if other is None else _rest(cases[number][other]) for i, other in enumerate(twins)]
-                loads = [imposed[number][case] for case in path]
-                known_by = _Known(chords, [(number, case) for case in path], partial(Chord.of, condensed, own))
-                followed = _followed(tissue, place, known_by, loads, warm, chording)
-                for case, ended in zip(path, followed, strict=False):
-                    cases[number][case] = ended
-                    if ended.rest is None:
-                        return _strained(model, values, cases, quantity)
+                place, own = place_of(model, rig, pose)
+                known_by = _Known(chords, [count[number] + case for case in path], partial(Chord.of, condensed, own))
+                ways.append(_Way(number, path, place, known_by, [imposed[number][case] for case in path], warm))
+        ways.sort(key=lambda way: -len(way.path))  # the longest first, so that none is left to go on alone
+        lost = Event()
+        found = side_by_side(partial(_along, tissue=tissue, chording=chording, lost=lost), ways, model.solver.workers)
+        for way, ends in zip(ways, found, strict=True):
+            for case, ended in zip(way.path, ends, strict=False):
+                cases[way.rig][case] = ended
+        if lost.is_set():
+            break
+        for number, case in echoes:
+            cases[number][case] = _heard(cases, first[number][case])
     return _strained(model, values, cases, quantity)
+
+
+def numbered(rigs: Sequence[Rig]) -> list[int]:
+    """The number of the first case of each rig, counted through all of them."""
+    return [0, *accumulate(len(rig.pose) for rig in rigs)]
 
 
 def _heard(cases: list[list[Ended]], first: tuple[int, int]) -> Ended:
@@ -207,25 +221,51 @@ def place_of(model: Model, rig: Rig, pose: int) -> tuple[Place, np.ndarray]:
 
 
 def _once(make: Callable[[], AbstractCondensed]) -> Callable[[], AbstractCondensed]:
-    """Made when it is first asked for: paths that begin warm with their own tangents need no linear body."""
-    return lru_cache(maxsize=1)(make)
+    """Made when it is first asked for, by whichever path: those that begin warm with their own tangents need no linear body."""
+    known, one_at_a_time = lru_cache(maxsize=1)(make), Lock()
+
+    def made() -> AbstractCondensed:
+        with one_at_a_time:
+            return known()
+
+    return made
 
 
 class _Known(NamedTuple):
     """The chords that a path knows of: kept tangents of its `cases`, and the `linear` body's."""
 
     chords: Chords
-    cases: list[tuple[int, int]]
+    cases: list[int]
     linear: Callable[[], Chord | None]
 
 
-def _followed(
-    tissue: Tissue, place: Place, known: _Known, loads: list[Imposed], warm: list[Ended | None], chording: Chording
-) -> Iterator[Ended]:
+class _Way(NamedTuple):
+    """A load path of a rig: its cases in the order of their `loads`, where they press, what is known, and where each may begin."""
+
+    rig: int
+    path: list[int]
+    place: Place
+    known: _Known
+    loads: list[Imposed]
+    warm: list[Ended | None]
+
+
+def _along(way: _Way, *, tissue: Tissue, chording: Chording, lost: Event) -> list[Ended]:
+    """The equilibria of one load path, until one has none: on this path, or on another that is followed beside it."""
+    followed, found = _followed(tissue, way, chording), []
+    while not lost.is_set() and (ended := next(followed, None)) is not None:
+        found.append(ended)
+        if ended.rest is None:
+            lost.set()
+    return found
+
+
+def _followed(tissue: Tissue, way: _Way, chording: Chording) -> Iterator[Ended]:
     """The equilibria of one load path, each from the one before or from its own warm start."""
     last: Resting | None = None
     chord: Chord | None = None
-    for case, imposed, own in zip(known.cases, loads, warm, strict=True):
+    place, known = way.place, way.known
+    for case, imposed, own in zip(known.cases, way.loads, way.warm, strict=True):
         spent = 0
         if own is not None and own.rest is not None:
             kept = known.chords.find(case, tissue.body, place)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -31,6 +32,7 @@ from ..fem.operator import Lame
 from ..fem.solver import Factorised
 from ..fem.stiffness import tangent
 from ..fem.tissue import AbstractTissue, Linear
+from ..side_by_side import side_by_side
 from .echoes import firsts
 from .inner import Beside, towards
 from .model import Model
@@ -38,7 +40,7 @@ from .pressing import Known, settle_with
 from .problem import Health
 from .readings import Instruments
 from .rigs import Rig
-from .strained import Strained, impositions, place_of, pushed, rig_readings, twin
+from .strained import Strained, impositions, numbered, place_of, pushed, rig_readings, twin
 from .wiring import Values
 
 Vector = Float[Array, " d"]
@@ -128,21 +130,26 @@ def strained_slopes(
     materials = [_material_ways(model.instruments, of, at, variant) for variant in range(len(tissues))]
     same = firsts(model, [impositions(model.instruments.added, rig, values) for rig in model.instruments.rigs])
     pushed_so: dict[tuple[int, int], Ways] = {}
+    own: list[tuple[Shape, list[Ways]]] = []
+    echoes: list[tuple[int, int]] = []
     for number, rig in enumerate(model.instruments.rigs):
         series, *pushes = (np.asarray(each) for each in _push_ways(model.instruments.added, rig, of, at))
         ways = [Ways(materials[variant], *each) for variant, *each in zip(np.asarray(rig.variant).tolist(), *pushes, strict=True)]
         pushed_so |= {(number, case): way for case, way in enumerate(ways)}
         for first, twins in _of_one_shape(rig, tissues, rigid=not np.any(series)).items():
-            others = {case: same[number][case] for case, _ in twins}
-            if all(_heard(other, (number, case), pushed_so) for case, other in others.items()):
-                for case, (rig_before, before) in others.items():
-                    slopes[number][case], moved[number][case] = slopes[rig_before][before], moved[rig_before][before]
+            if all(_heard(same[number][case], (number, case), pushed_so) for case, _ in twins):
+                echoes += [(number, case) for case, _ in twins]
                 continue
             rests = {case: rest for case, _ in twins if (rest := found.cases[number][case].rest) is not None}
             if first in rests:
-                shape = Shape(model, tissues, rig, (number, first), dict(twins), rests, float(series[first]))
-                for case, own in _shape_slopes(shape, ways, bodies, len(at), chords or Chords()):
-                    slopes[number][case], moved[number][case] = own
+                own.append((Shape(model, tissues, rig, (number, first), dict(twins), rests, float(series[first])), ways))
+    sloped = partial(_shape_slopes, bodies=bodies, d=len(at), chords=chords or Chords())
+    for (shape, _), each in zip(own, side_by_side(lambda one: list(sloped(*one)), own, model.solver.workers), strict=True):
+        for case, ends in each:
+            slopes[shape.of[0]][case], moved[shape.of[0]][case] = ends
+    for number, case in echoes:
+        rig_before, before = same[number][case]
+        slopes[number][case], moved[number][case] = slopes[rig_before][before], moved[rig_before][before]
     contacts = [rig_readings(model.columns.matrix(), rig, cases) for rig, cases in zip(model.instruments.rigs, found.cases, strict=True)]
     rows = _rows(model.instruments, contacts, [jnp.asarray(each) for each in slopes], of, at)
     return rows, dataclasses.replace(found, slopes=tuple(map(tuple, moved)))
@@ -204,13 +211,14 @@ def _shape_slopes(
     pushing = {case: np.append(felt[case], np.arange(d, count)) for case in rests}
     pushes = [_pushes(own[case], ways[case].material, felt[case], bodies, rest.displacement) for case, rest in rests.items()]
     tissue, loads = own[first], np.concatenate([hats.T, *(-push for push in pushes)])
-    chords.drop(shape.of)
+    number = numbered(model.instruments.rigs)[shape.of[0]] + first
+    chords.drop(number)
     undone = _undone(tissue, place, rests[first].displacement, loads)
     if undone is None:
         return
     found, chord = undone
     if chord is not None:
-        chords.keep(shape.of, tissue.body, place, chord)
+        chords.keep(number, tissue.body, place, chord)
     pressed, *freely = np.split(found, np.cumsum([len(touching), *(len(each) for each in pushing.values())])[:-1])
     for case, free in zip(rests, freely, strict=True):
         here = active[case][touching]

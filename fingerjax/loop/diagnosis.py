@@ -23,7 +23,7 @@ from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
 from .explanations import Explanation, Inquiry, first, main
 from .findings import Findings
-from .meshguard import Correction, MeshGuard, correction, guard, share_left, unchecked
+from .meshguard import Correction, MeshGuard, correction, drift, guard, share_left, unchecked
 from .nearest import nearest
 from .noise import Noise, estimate, outliers
 from .record import Diagnosis, Planted
@@ -31,7 +31,7 @@ from .refit import Keep, Optimum, forget, optimum
 from .sample import Sample
 from .score import Ranking, rank
 from .separate import Rival, next_experiments
-from .subject import NONE, AbstractSubject, Family
+from .subject import NONE, AbstractSubject, Evaluation, Family
 from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, out_of_the_mesh, with_held_out, with_nearest
 from .writing import written
 
@@ -118,7 +118,8 @@ def _asked(subject: AbstractSubject, effects: str | tuple[str, ...]) -> tuple[Fa
 def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep) -> tuple[Noise, Optimum, MeshGuard]:
     """The noise, the base fit on the corrected prediction, and what the mesh leaves.
 
-    The mesh is asked at the start and where the fit ended, until that changes no more: what a coarse mesh adds depends on where it is.
+    The mesh is asked at the start and where the fit ended, until that changes no more or is not expected to: what a coarse mesh adds
+    depends on where it is.
     """
     noise = estimate(subject.rows)
     raw = np.array([parameter.raw() for parameter in subject.parameters])
@@ -127,11 +128,14 @@ def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep
     if best.settled and (again := outliers(subject.rows, noise, best.sample.error(best.at))).weights.min() < noise.weights.min():
         noise = again
         best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, "base with outliers weighed", kept)
+    asked: Evaluation | None = None
     for number in range(ROUNDS):
-        moved = correction(subject, best.raw, NONE, best.at) if best.settled and known is not None else None
-        if moved is None or known is None or np.linalg.norm(best.sample.columns((moved.offset - known.offset)[:, None])) < SAME:
+        if known is None or not best.settled or (asked is not None and drift(known, best.sample, asked, best.at) < SAME):
             break
-        known = moved
+        moved = correction(subject, best.raw, NONE, best.at)
+        if moved is None or np.linalg.norm(best.sample.columns((moved.offset - known.offset)[:, None])) < SAME:
+            break
+        known, asked = moved, best.at
         best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, f"base on the finer mesh {number}", kept)
     if known is None or not best.settled:
         return noise, best, unchecked(len(subject.rows), len(raw))

@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float
 from ..study_records import Reach
 from . import heldout, material
 from .adequacy import Look, look
-from .meshguard import correction
+from .meshguard import correction, drift
 from .refit import Keep, Optimum, forget, optimum
 from .sample import Sample
 from .score import Node, Ranking, combined
@@ -219,7 +219,8 @@ class Inquiry:
         if not best.settled or delta < max(self.chance, NEARLY * self.leading) or not best.sample.offset.any():
             return best
         for number in range(ASKED):
-            known = correction(best.sample.subject, best.raw, best.phi, best.at)
+            asked = best.at
+            known = correction(best.sample.subject, best.raw, best.phi, asked)
             if known is None or np.linalg.norm(best.sample.columns((known.offset - best.sample.offset)[:, None])) < SAME:
                 break
             name = f"{_label(best.columns)} on its own mesh {number}"
@@ -227,6 +228,8 @@ class Inquiry:
             if not again.settled:
                 break
             best = again
+            if drift(known, best.sample, asked, best.at) < SAME:
+                break
         return best
 
     def _second(self, first: Explanation) -> Explanation | None:

@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .refit import Optimum
+from .sample import Sample
 from .subject import AbstractSubject, Evaluation, Rows
 from .whitening import Projection
 
@@ -123,6 +124,16 @@ def correction(
     half = subject.softness(raw, phi)
     half = np.zeros(len(finer)) if half is None or not np.isfinite(half).all() else np.asarray(half, dtype=float)
     return Correction(np.asarray(finer, dtype=float) + half - here.prediction, half)
+
+
+def drift(known: Correction, sample: Sample, before: Evaluation, now: Evaluation) -> float:
+    """By how many standard errors of all rows together a correction made at one point is expected to differ at another: it is taken to be
+    as large a share of the change of the prediction as of the whole.
+    """
+    changed, offset, whole = (
+        float(np.linalg.norm(sample.columns(each[:, None]))) for each in (now.prediction - before.prediction, known.offset, now.prediction)
+    )
+    return changed * offset / whole if whole > 0 else 0.0
 
 
 def share_left(refinement: float) -> float:

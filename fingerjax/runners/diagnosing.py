@@ -23,12 +23,12 @@ from ..study import Diagnose, Study
 from .rows import labels_of
 from .subject import FingerSubject
 
-CHECKING = 45_000  # nodes of the finer one, at most
+CHECKING = 45_000  # nodes of the finer one, at most, or a little more
 GROWTH = 1.5  # power by which nodes grow as elements shrink, before it has been seen
 FINER = 0.35  # element size of the finer mesh over that of the mesh, where its nodes allow
 CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
 TRIES = 3  # meshes on the way to one of the right number of nodes
-NEAR = 0.85  # of the nodes that are allowed: enough
+NEAR, ABOVE = 0.85, 1.1  # of the nodes that are allowed: enough, and not worth another mesh
 
 
 def diagnose_study(
@@ -111,7 +111,7 @@ def _nodes(study: Study, size: float, even: bool, tell: Tell = unheard) -> int:
 def _finer(study: Study, size: float, even: bool) -> float:
     """The size of a finer mesh's elements: a third as large as those of the mesh, or as small as its nodes allow."""
     nodes = _nodes(study, FINER * size, even)
-    return FINER * size if nodes <= CHECKING else _size(study, CHECKING, FINER * size, nodes, even)
+    return FINER * size if nodes <= ABOVE * CHECKING else _size(study, CHECKING, FINER * size, nodes, even)
 
 
 def _size(study: Study, most: int, size: float, nodes: int, even: bool = True) -> float:
