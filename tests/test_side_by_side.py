@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info
 from fingerjax.contact.chord import Chording, tangent_chord
 from fingerjax.fem.equilibrium import Tissue
 from fingerjax.fem.tissue import Exponential, FiniteStrain
-from fingerjax.forward import Assembled, strained, strained_slopes
+from fingerjax.forward import Assembled, load_path, strained, strained_slopes
 from fingerjax.forward.strained import place_of, strained_readings
 from fingerjax.side_by_side import processors, side_by_side
 
@@ -110,13 +110,13 @@ def test_paths_and_slopes_are_the_same_however_many_are_followed_at_once(ready: 
 
 
 def test_a_path_without_an_equilibrium_ends_those_beside_it(ready: Assembled, monkeypatch: pytest.MonkeyPatch) -> None:
-    found, begun = strained._found, []
+    found, begun = load_path._found, []
 
     def without(tissue, place, chord, imposed, *rest):
         begun.append(imposed)
-        return (strained.UNTRIED, chord) if imposed.travel == 0.5 else found(tissue, place, chord, imposed, *rest)
+        return (load_path.UNTRIED, chord) if imposed.travel == 0.5 else found(tissue, place, chord, imposed, *rest)
 
-    monkeypatch.setattr(strained, "_found", without)
+    monkeypatch.setattr(load_path, "_found", without)
     monkeypatch.setattr(strained, "side_by_side", lambda work, items, _: side_by_side(work, items, 1))
     known = strained_readings(ready.model, *of(HERE), chording=TIGHT)
     assert not bool(known.prediction.health.converged)

@@ -19,8 +19,7 @@ from fingerjax.fem.equilibrium import Newton, Tissue, find
 from fingerjax.fem.multigrid import hierarchy
 from fingerjax.fem.solver import MultigridCG, solver_for
 from fingerjax.fem.tissue import AbstractTissue, Exponential, FiniteStrain, Linear
-from fingerjax.forward import Assembled, assemble, rigs
-from fingerjax.forward import strained as strained_module
+from fingerjax.forward import Assembled, assemble, load_path, rigs
 from fingerjax.forward.strained import Strained, place_of, strained_readings
 from fingerjax.forward.strained_slopes import law_tangent, strained_jacobian
 
@@ -92,17 +91,17 @@ def test_every_case_rests_where_newton_finds_it_to(everything: Assembled, strain
 @pytest.mark.slow
 def test_a_case_that_is_far_from_the_one_before_is_reached_in_steps(everything: Assembled, monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches that fail where the indenter goes more than 0.3 mm beyond the skin at once, and no Newton's method to stand in."""
-    search, refused = strained_module._by_chords, []
+    search, refused = load_path._by_chords, []
 
     def near_sighted(tissue, place, chord, imposed, begin, chording):  # type: ignore[no-untyped-def]
         if imposed.travel is not None and begin[0].any() and imposed.travel - np.abs(begin[0]).max() > 0.3:
             refused.append(imposed)
-            return strained_module.Ended(None, 1, 0, 0, False, RESULTS.no_equilibrium), chord
+            return load_path.Ended(None, 1, 0, 0, False, RESULTS.no_equilibrium), chord
         return search(tissue, place, chord, imposed, begin, chording)
 
     whole = rows(strained_readings(everything.model, at(), STIFFENING, chording=TIGHT))
-    monkeypatch.setattr(strained_module, "_by_chords", near_sighted)
-    monkeypatch.setattr(strained_module, "_by_newton", lambda *given: given[-1])
+    monkeypatch.setattr(load_path, "_by_chords", near_sighted)
+    monkeypatch.setattr(load_path, "_by_newton", lambda *given: given[-1])
     SAME_STATE.check(rows(strained_readings(everything.model, at(), STIFFENING, chording=TIGHT)), whole)
     assert refused
 
