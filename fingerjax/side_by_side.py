@@ -7,6 +7,7 @@ call give the interpreter free meanwhile, so threads serve; each piece has one t
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -15,6 +16,16 @@ from threadpoolctl import threadpool_limits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+_here = threading.local()
+
+
+def beside_others() -> bool:
+    """Whether this is a piece of work that others are done beside."""
+    return getattr(_here, "beside_others", False)
+
+
+def _begin() -> None:
+    _here.beside_others = True
 
 
 def processors() -> int:
@@ -31,7 +42,7 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item], workers:
     workers = min(processors() if workers is None else workers, len(items))
     if workers < 2:
         return [work(item) for item in items]
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(workers, initializer=_begin) as pool:
         waiting = [pool.submit(work, item) for item in items]
         try:
             return [one.result() for one in waiting]

@@ -137,6 +137,29 @@ def test_what_a_law_adds_is_checked_on_the_finer_mesh(tmp_path: Path, monkeypatc
     assert subject.finer(raw, law) is None
 
 
+def test_softer_elements_are_asked_beside_the_finer_mesh_and_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("contact_offset",), catalogue()))
+    subject.refine(subject.base, 0.5)
+    raw, phi = np.array([one.raw() for one in subject.parameters]), {"contact_offset.offset": 0.05}
+    value, asked = subject.elastic.value, []
+
+    def counted(on, *given):  # type: ignore[no-untyped-def]
+        asked.append(on.model.body.dilatation)
+        return value(on, *given)
+
+    monkeypatch.setattr(subject.elastic, "value", counted)
+    fine = subject.finer(raw, phi)
+    half = subject.softness(raw, phi)
+    assert sorted(asked) == ["mean", "pointwise"]
+    soft = value(subject._soft, raw, subject.elastic.amounts(phi))
+    np.testing.assert_allclose(half, (soft - fine) / 2, rtol=0, atol=1e-9 * np.abs(fine).max())
+    assert np.abs(half).max() > 1e-4 * np.abs(fine).max()
+    elsewhere = subject.softness(raw + 0.1, {})  # asked by itself
+    assert sorted(asked) == ["mean"] * 2 + ["pointwise"] * 2
+    moved = [value(on, raw + 0.1, {}) for on in (subject._soft, subject._fine)]
+    np.testing.assert_allclose(elsewhere, (moved[0] - moved[1]) / 2, rtol=0, atol=1e-9 * np.abs(fine).max())
+
+
 def test_what_a_law_adds_at_either_of_two_steps_is_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("strain_stiffening",), catalogue()))
     followed: list[float] = []

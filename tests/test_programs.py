@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import pytest
 
 from fingerjax.forward import programs
+from fingerjax.side_by_side import side_by_side
 
 
 def pieces() -> int:
@@ -49,3 +50,11 @@ def test_nothing_is_forgotten_where_the_system_does_not_tell(tmp_path: Path, sai
         limit.write_text(said)
     assert not programs.forget_when_many(limit=limit)
     assert not programs.forget_when_many(maps=tmp_path / "maps", limit=programs.LIMIT)
+
+
+@pytest.mark.skipif(not programs.MAPS.exists(), reason="the system does not tell what a process maps")
+def test_nothing_is_forgotten_beside_other_work(tmp_path: Path) -> None:
+    limit = tmp_path / "max_map_count"
+    limit.write_text("1")
+    assert side_by_side(lambda _: programs.forget_when_many(limit=limit), [0, 1], workers=2) == [False, False]
+    assert programs.forget_when_many(limit=limit)

@@ -97,9 +97,10 @@ class Host:
 
     def forget(self) -> None:
         """Let go of every factorisation that can be made again, and of what was answered but for the last."""
-        self._factor = self._stiffness = self._own.apart = None
-        self._last = self._last[-1:]
-        self._kept = np.zeros_like(self._kept)
+        with self._one_at_a_time:
+            self._factor = self._stiffness = self._own.apart = None
+            self._last = self._last[-1:]
+            self._kept = np.zeros_like(self._kept)
         self._spares.clear()
 
     def condense(self, stiffness: AbstractStiffness, columns: Columns) -> AbstractCondensed:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import jax
 
+from ..side_by_side import beside_others
+
 MAPS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 ROOM = 0.6  # share of what is allowed from which on programs are forgotten: what one evaluation compiles must find room in the rest
 
@@ -17,8 +19,11 @@ ROOM = 0.6  # share of what is allowed from which on programs are forgotten: wha
 def forget_when_many(maps: Path = MAPS, limit: Path = LIMIT) -> bool:
     """Drop all compiled programs where the process is close to the number of mappings that the system allows; whether it was.
 
-    What is asked again compiles again, in seconds. Where the system does not tell nothing is done.
+    What is asked again compiles again, in seconds. Where the system does not tell nothing is done, nor beside other work, which
+    may be compiling.
     """
+    if beside_others():
+        return False
     try:
         allowed = int(limit.read_text())
         with maps.open("rb") as lines:

@@ -14,6 +14,7 @@ from ..forward.model import Assembled, softened
 from ..forward.shape import Tell, unheard
 from ..loop.subject import AbstractSubject, Evaluation, LogPrior
 from ..parameters import Parameter
+from ..side_by_side import side_by_side
 from ..study import Prior
 from .beyond import Beyond
 from .elastic import NEAR, ElasticFinger
@@ -39,7 +40,7 @@ class FingerSubject(AbstractSubject):
         self.priors = _priors(self.base, self.parameters)
         self._fine: Assembled | None = None
         self._soft: Assembled | None = None
-        self._finely: tuple[np.ndarray, Amounts, np.ndarray | None] | None = None
+        self._finely: tuple[np.ndarray, Amounts, np.ndarray | None, np.ndarray | None] | None = None
         self._left: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
         self._beyond = Beyond(self.elastic, self._on_the_finer)
 
@@ -92,11 +93,11 @@ class FingerSubject(AbstractSubject):
     def finer(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Float[np.ndarray, " rows"] | None:
         """With what a law adds on the finer mesh too: beside a small sphere that is far from converged on the mesh of a search."""
         amounts = self.elastic.amounts(phi)
-        on = self._on_the_finer(amounts)
+        lawless = self.elastic.lawless(amounts)
+        on, soft = self._laid(self._fine, lawless), self._laid(self._soft, lawless)
         if on is None:
             return None
-        fine = self.elastic.value(on, raw, self.elastic.lawless(amounts))
-        self._finely = np.array(raw), self.elastic.lawless(amounts), fine
+        fine = self._both(on, soft, raw, lawless)
         if fine is not None and self.elastic.is_strained(amounts):
             more = self._beyond.added(raw, amounts, finely=True) or self._beyond.added(raw, amounts)
             fine = None if more is None else fine + more[0]
@@ -105,12 +106,10 @@ class FingerSubject(AbstractSubject):
 
     def softness(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Float[np.ndarray, " rows"] | None:
         """Of the tissue without any law: what that adds is no larger where elements are softer."""
-        if self._fine is None or self._soft is None:
+        phi = {key: value for key, value in phi.items() if not self.elastic.is_law(key)}
+        if not self._was_asked(raw, self.elastic.amounts(phi)) and self.finer(raw, phi) is None:
             return None
-        amounts = self.elastic.amounts({key: value for key, value in phi.items() if not self.elastic.is_law(key)})
-        fine, soft = self._lately(raw, amounts), self._read_on(self._soft, raw, amounts)
-        if fine is None:
-            fine = self._read_on(self._fine, raw, amounts)
+        fine, soft = self._finely[2:] if self._finely is not None else (None, None)
         return None if fine is None or soft is None else (soft - fine) / 2
 
     def refine(self, fine: Assembled, refinement: float) -> None:
@@ -134,30 +133,31 @@ class FingerSubject(AbstractSubject):
         more = self._beyond.added(raw, amounts)
         return None if more is None else value + more[0]
 
-    def _read_on(self, ready: Assembled, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
-        """The readings on another mesh; None where an element turns over there, or there is no answer."""
+    def _both(self, fine: Assembled, soft: Assembled | None, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
+        """What is read on the finer mesh; that is remembered, with what softer elements of it read at the same time."""
+        there = [fine] if soft is None else [fine, soft]
+        of_one = soft is None or soft.model.solver is fine.model.solver
+        values = side_by_side(lambda on: self.elastic.value(on, raw, amounts), there, 1 if of_one else None)
+        self._finely = np.array(raw), amounts, values[0], None if soft is None else values[1]
+        if soft is not None:
+            soft.model.solver.forget()
+        return values[0]
+
+    def _was_asked(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> bool:
+        """Whether the finer mesh was asked for this last."""
+        return self._finely is not None and np.array_equal(self._finely[0], raw) and self._finely[1] == amounts
+
+    def _laid(self, ready: Assembled | None, amounts: Amounts) -> Assembled | None:
+        """One of the finer meshes with effects in it; None where there is none or an element turns over."""
+        if ready is None:
+            return None
         try:
-            on = self.elastic.variants.on(ready, amounts)
+            return self.elastic.variants.on(ready, amounts)
         except ValueError:
             return None
-        found = self.elastic.value(on, raw, amounts)
-        on.model.solver.forget()
-        return found
-
-    def _lately(self, raw: Float[np.ndarray, " p"], amounts: Amounts) -> np.ndarray | None:
-        """What was read last on the finer mesh, if it was this."""
-        if self._finely is None or not np.array_equal(self._finely[0], raw) or self._finely[1] != amounts:
-            return None
-        return self._finely[2]
 
     def _on_the_finer(self, amounts: Amounts) -> Assembled | None:
-        """The finer mesh with effects in it; None where there is none or an element turns over."""
-        if self._fine is None:
-            return None
-        try:
-            return self.elastic.variants.on(self._fine, self.elastic.lawless(amounts))
-        except ValueError:
-            return None
+        return self._laid(self._fine, self.elastic.lawless(amounts))
 
     def _secant(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], key: str, here: np.ndarray) -> np.ndarray:
         way = self.elastic.ways[key]
