@@ -268,6 +268,16 @@ def test_where_one_effect_is_enough_those_that_promise_next_to_nothing_are_not_r
         assert all(inquiry._remote(name) is skipped for name in little)
 
 
+def test_effects_that_are_dear_are_refitted_after_the_others() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.06})
+    toy.families = tuple(dataclasses.replace(family, dear=family.name == "contact_offset") for family in toy.families)
+    told: list[str] = []
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: told.append(what), kept=forget)
+    refits = [what.removeprefix("refit with ") for what in told if what.startswith("refit with") and " and " not in what]
+    assert found.base.ranking.promising[0].family.name == "contact_offset"
+    assert len(refits) > 1 and refits[-1] == "contact_offset" == found.verdict.names[0]
+
+
 def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> None:
     found = verdict(mesh=0.03, truth={"contact_offset.offset": 0.06})
     assert found.explanations == ["contact_offset"]

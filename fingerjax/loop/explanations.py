@@ -254,7 +254,7 @@ class Inquiry:
         return min(fits, key=_misfit)
 
     def singles(self) -> list[Explanation]:
-        """The families that promise most, refitted, best first; where there are two rankings, by turns.
+        """The families that promise most, refitted, best first; where there are two rankings, by turns. Those that are dear come last.
 
         A refit finds more than a score expects where an effect is large and bends, but that is of a large misfit: where one effect is
         enough, those of which the score expects next to nothing are left out.
@@ -262,7 +262,8 @@ class Inquiry:
         late = [score.family.name for score in self.base.ranking.promising]
         early = [] if self.early is None else [score.family.name for score in self.early.promising if score.family.name in late]
         turns = [name for pair in zip_longest(early, late) for name in pair if name is not None]
-        ranked = list(dict.fromkeys(turns))[:FAMILIES]
+        dear = {family.name for family in self.families if family.dear}
+        ranked = sorted(list(dict.fromkeys(turns))[:FAMILIES], key=lambda name: name in dear)
         for number, name in enumerate(ranked):
             if self._remote(name):
                 continue

@@ -82,6 +82,8 @@ class Family:
     - `acts_on`: finger, tissue, support, contact, time, instrument or afferent.
     - `leaves`: the residual that it leaves behind, `confused_with`: what looks like it, both in words.
     - `second`: columns of a second term of the same effect (a second Prony term), tried before another effect is.
+    - `dear`: a model with it costs many times one without, as tissue of another law does: it is refitted after the others, and given up
+      early where one of them is far ahead.
     """
 
     name: str
@@ -90,6 +92,7 @@ class Family:
     leaves: str = ""
     confused_with: str = ""
     second: tuple[Column, ...] = ()
+    dear: bool = False
 
     def __post_init__(self) -> None:
         if not self.columns:

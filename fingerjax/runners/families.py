@@ -12,7 +12,7 @@ REACH = 3.0  # plausible sizes from the null to the bounds
 def family(effect: Effect) -> Family:
     columns = tuple(_column(effect, way) for way in effect.columns())
     more = tuple(_column(effect, way) for way in effect.second())
-    return Family(effect.name, columns, effect.acts_on, effect.leaves, effect.confused_with, more)
+    return Family(effect.name, columns, effect.acts_on, effect.leaves, effect.confused_with, more, dear=effect.is_law)
 
 
 def _column(effect: Effect, way: Way) -> Column:
