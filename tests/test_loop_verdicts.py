@@ -325,6 +325,26 @@ def test_an_effect_that_must_run_out_of_what_is_plausible_is_not_named() -> None
     assert "plausible" in refit(found, "contact_offset").reason
 
 
+@pytest.mark.parametrize(
+    ("skin", "deep", "offset", "plausible"),
+    [
+        (7.0, 0.7, 0.1, True),
+        (7.0, 0.0, 0.1, True),  # what lies deeper does not stiffen
+        (0.0, 0.0, 0.1, False),  # nothing does
+        (30.0, 0.7, 0.1, False),
+        (30.0, 0.0, 0.1, False),
+        (7.0, 30.0, 0.1, False),
+        (7.0, 0.7, -0.3, False),
+    ],
+)
+def test_of_an_effect_of_several_numbers_one_may_rest_at_its_null(skin: float, deep: float, offset: float, plausible: bool) -> None:
+    law = [Column("law", name, "1", 10.0, 0.0, 30.0, sign=1) for name in ("skin", "deep")]
+    columns = (*law, Column("offset", "by", "mm", 0.1, -0.3, 0.3))
+    best = investigate(Toy(), seed=0, effects="none", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget).base.best
+    found = dataclasses.replace(best, columns=columns, phi={"law.skin": skin, "law.deep": deep, "offset.by": offset})
+    assert found.plausible is plausible
+
+
 def test_where_nothing_is_named_it_is_said_how_near_the_catalogue_comes() -> None:
     found = verdict(truth={"contact_offset.offset": 0.06, "relaxation.share@tau_s=1": 0.15}, outside=_callus)
     assert found.verdict.kind == "unexplained" and not found.explanations and found.nearest is not None

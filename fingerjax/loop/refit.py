@@ -87,11 +87,18 @@ class Optimum:
 
     @property
     def plausible(self) -> bool:
-        """Whether every effect is clear of its bounds (the null value of a one-sided effect is one)."""
-        return all(
-            one.lower + AT_BOUND * (one.upper - one.lower) < self.phi[one.key] < one.upper - AT_BOUND * (one.upper - one.lower)
-            for one in self.columns
-        )
+        """Whether every effect is clear of its bounds (the null value of a one-sided effect is one). Of an effect of several numbers some
+        may rest at their null, as long as another does not: skin may stiffen where what lies deeper does not.
+        """
+
+        ends = {one.key: self._end(one) for one in self.columns}
+        awake = {one.family for one in self.columns if ends[one.key] is None}
+        return all(one.family in awake and ends[one.key] in (None, one.null) for one in self.columns)
+
+    def _end(self, one: Column) -> float | None:
+        """The bound of an effect's number that it is at, if it is at one."""
+        near = AT_BOUND * (one.upper - one.lower)
+        return next((bound for bound in (one.lower, one.upper) if abs(self.phi[one.key] - bound) <= near), None)
 
     def limits(self) -> dict[str, str]:
         """Base parameters at a limit, and at which."""
