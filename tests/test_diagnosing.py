@@ -137,6 +137,20 @@ def test_what_a_law_adds_is_checked_on_the_finer_mesh(tmp_path: Path, monkeypatc
     assert subject.finer(raw, law) is None
 
 
+def test_a_law_that_moves_has_its_slope_at_the_null_too(tmp_path: Path) -> None:
+    """A search that comes to the null of a law would else end there, as if more of it changed nothing."""
+    subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("strain_stiffening",), catalogue()))
+    raw = np.array([one.raw() for one in subject.parameters])
+    keys = ("strain_stiffening.skin", "strain_stiffening.deep")
+    at, alone = subject.evaluate(raw, dict.fromkeys(keys, 0.0), keys), subject.evaluate(raw, {}, ())
+    np.testing.assert_allclose(at.prediction, alone.prediction, rtol=0, atol=1e-5 * np.abs(alone.prediction).max())
+    np.testing.assert_allclose(at.theta_jacobian, alone.theta_jacobian, rtol=0, atol=1e-5 * np.abs(alone.theta_jacobian).max())
+    for number, key in enumerate(keys):
+        left = subject.columns(raw)[key]
+        assert np.abs(left).max() > 0
+        np.testing.assert_allclose(at.phi_jacobian[:, number], left, rtol=0, atol=1e-4 * np.abs(left).max())
+
+
 def test_softer_elements_are_asked_beside_the_finer_mesh_and_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("contact_offset",), catalogue()))
     subject.refine(subject.base, 0.5)

@@ -50,8 +50,9 @@ class FingerSubject(AbstractSubject):
         return self.elastic.base
 
     def evaluate(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
-        model = self._beyond if self.elastic.is_strained(self.elastic.amounts(phi)) else self.elastic
-        return model.evaluate(raw, phi, moving)
+        """With the slope of a law of the tissue at its null too: a search that comes there must see the way back."""
+        lawful = self.elastic.is_strained(self.elastic.amounts(phi)) or any(map(self.elastic.is_law, moving))
+        return (self._beyond if lawful else self.elastic).evaluate(raw, phi, moving)
 
     def glance(self, raw: Float[np.ndarray, " p"], phi: Mapping[str, float]) -> Evaluation | None:
         """Where the tissue follows a law, whose slopes ask for a factorisation in every indentation."""
