@@ -26,6 +26,7 @@ def beside_others() -> bool:
 
 def _begin() -> None:
     _here.beside_others = True
+    threadpool_limits(1)  # again: OpenMP counts for each thread apart
 
 
 def processors() -> int:

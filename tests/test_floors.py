@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "fingerjax"
 
 FLOORS: dict[str, tuple[str, ...]] = {
     "words": (
-        *("errors", "layers", "spelling", "yamlfile", "csvfile", "strict", "tidy"),
+        *("errors", "layers", "spelling", "yamlfile", "csvfile", "strict", "tidy", "side_by_side"),
         *("units", "parameters", "_results", "_types"),
     ),
     "shape": ("geometry", "mesh", "finger"),

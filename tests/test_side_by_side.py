@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import jax.numpy as jnp
@@ -57,6 +58,7 @@ def test_what_one_raises_is_raised_and_no_more_are_begun(workers: int) -> None:
         begun.append(item)
         if item == 0:
             raise ZeroDivisionError("the first")
+        time.sleep(0.005)
         return item
 
     with pytest.raises(ZeroDivisionError, match="the first"):
