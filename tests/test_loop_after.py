@@ -17,7 +17,7 @@ from fingerjax.loop import heldout
 from fingerjax.loop.adequacy import Look, look
 from fingerjax.loop.calibrate import Machine, false_alarms, planted
 from fingerjax.loop.diagnosis import diagnose
-from fingerjax.loop.meshguard import correction, guard
+from fingerjax.loop.meshguard import correction, drift, guard
 from fingerjax.loop.noise import estimate
 from fingerjax.loop.refit import Optimum, optimum
 from fingerjax.loop.sample import Sample
@@ -93,6 +93,18 @@ def test_a_prior_on_a_logarithm_pulls_by_ratios() -> None:
     assert sample.jacobian(best.at, raw)[-1, 0] == pytest.approx(-(ahead[0] - ahead[1]) / 2e-4)
     toy.priors = {"skin.modulus": LogPrior(0.3, 10.0)}
     assert float(np.exp(based(toy).raw[0])) == pytest.approx(TRUE["skin.modulus"], rel=0.05)
+
+
+@pytest.mark.parametrize("step", [0.02, 0.1, -0.3])
+def test_by_how_much_a_correction_differs_elsewhere_is_foretold(step: float) -> None:
+    toy = Toy(mesh=0.03)
+    best = based(toy)
+    known, there = correction(toy, best.raw, NONE), correction(toy, best.raw + step, NONE)
+    assert known is not None and there is not None
+    differs = float(np.linalg.norm(best.sample.columns((there.offset - known.offset)[:, None])))
+    foretold = drift(known, best.sample, best.at, toy.evaluate(best.raw + step, NONE, ()))
+    assert 0.3 * differs < foretold < 3 * differs
+    assert drift(known, best.sample, best.at, best.at) == 0.0
 
 
 def test_the_mesh_error_is_measured_and_its_leftover_is_a_covariance() -> None:
