@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
-import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..forward.problem import Problem
+from ..side_by_side import processors
 from .fit import Fit, fit
 
 Remake = Callable[[], Problem]
@@ -23,8 +23,7 @@ Tell = Callable[[float, str], object]
 
 def room() -> int:
     """How many fits at once suit this machine: one for every two cores that this process may use."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, cores // 2)
+    return max(1, processors() // 2)
 
 
 def fits_at_once(problem: Problem, remake: Remake, starts: np.ndarray, workers: int, tell: Tell) -> list[Fit]:
