@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from threadpoolctl import threadpool_limits
 
 from fingerjax.fem.body import material
 from fingerjax.fem.cholesky import AbstractCholesky, Indefinite
@@ -169,3 +170,19 @@ def test_columns_that_were_asked_for_before_are_not_solved_for_again(body, every
     forces = jnp.asarray(np.random.default_rng(0).normal(size=(2, moved.count)))
     np.testing.assert_allclose(found.displacement(forces), fresh.displacement(forces), atol=1e-9)
     assert found.held.converged and found.held.residual < 1e-10
+
+
+@needs_pardiso
+def test_what_several_threads_analysed_can_be_factored_where_there_are_fewer():
+    """MKL itself ends the process here, at this size and above."""
+    side = sp.diags([-1.0, 2.1, -1.0], [-1, 0, 1], (23, 23))
+    K = sp.csr_matrix(sp.kronsum(sp.kronsum(side, side), side))
+    upper, right = sp.csr_matrix(sp.triu(K)).sorted_indices(), np.ones((K.shape[0], 1))
+    Pardiso(upper.indptr, upper.indices).factor(upper.data)  # loads MKL, before which nothing can be limited
+    with threadpool_limits(2):
+        factor = Pardiso(upper.indptr, upper.indices)
+        factor.factor(upper.data)
+    for threads in (1, 2):
+        with threadpool_limits(threads):
+            factor.factor(threads * upper.data)
+            np.testing.assert_allclose(threads * (K @ factor.solve(right)), right, atol=1e-10)

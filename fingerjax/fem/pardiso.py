@@ -31,7 +31,10 @@ def _library() -> Any:
 
 
 class Pardiso(AbstractCholesky):
-    """Raises `ImportError` without the extra `direct`."""
+    """Raises `ImportError` without the extra `direct`.
+
+    Every phase runs with as many threads as the analysis had: with fewer, MKL writes past the memory that it laid out for them.
+    """
 
     def __init__(self, indptr: np.ndarray, indices: np.ndarray, kept: np.ndarray | None = None):
         self.size = len(indptr) - 1
@@ -45,6 +48,7 @@ class Pardiso(AbstractCholesky):
         self._options[35] = 2 if self.kept else 0  # the Schur complement, and factors that solve as well
         self._data = np.zeros(len(self._indices))
         self._analysed = False
+        self._threads = self._library.libmkl.MKL_Get_Max_Threads()
 
     def factor(self, data: np.ndarray) -> np.ndarray:
         self._data = np.ascontiguousarray(data, float)
@@ -69,6 +73,7 @@ class Pardiso(AbstractCholesky):
     def _call(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
         columns = right.shape[1] if right.ndim == 2 else 1
         error = _INT(0)
+        before = self._library.libmkl.MKL_Set_Num_Threads_Local(self._threads)  # of this thread of the interpreter alone
         self._library._mkl_pardiso(
             self._handle.ctypes.data_as(ctypes.POINTER(self._library._pt_type[0])),
             *(_INT(value) for value in (1, 1, SYMMETRIC_POSITIVE_DEFINITE, phase, self.size)),
@@ -81,6 +86,7 @@ class Pardiso(AbstractCholesky):
             answer.ctypes.data_as(ctypes.c_void_p),
             ctypes.byref(error),
         )
+        self._library.libmkl.MKL_Set_Num_Threads_Local(before)
         if error.value == -4:
             raise Indefinite
         if error.value:
