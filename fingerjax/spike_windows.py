@@ -17,7 +17,7 @@ Window = tuple[Number, Number]
 
 
 class RatesKeys(Strict):
-    """`spikes`: a CSV of `time` and of the labels that tell traces apart, beside the trace's own file; `windows_s`: from when to when, s,
+    """`spikes`: a CSV of `time` and of the labels in which traces differ, beside the trace's own file; `windows_s`: from when to when, s,
     on the clock of the trace, or from first contact where that is said.
     """
 
@@ -46,9 +46,9 @@ def rates_in(
     if not file.is_file():
         raise InputError("no such file", place="spikes", seen=keys.spikes, remedy="paths are relative to the trace's own file")
     tidy = Tidy(read_table(file))
-    spikes, names = tidy.needed("time", "time"), [name for name in LABELS if name in table]
-    labels = {name: tidy.label(name) for name in names}
-    absent = [name for name, cells in labels.items() if cells is None]
+    spikes, labels = tidy.needed("time", "time"), {name: tidy.label(name) for name in LABELS if name in table}
+    names = [name for name, cells in labels.items() if cells is not None]
+    absent = [name for name in labels if name not in names and len(set(table[name].tolist())) > 1]
     if absent:
         raise InputError("spikes do not say to which trace they belong", file=file, place=absent[0], remedy=f"add a column {absent[0]}")
     parts: list[dict[str, np.ndarray]] = []

@@ -128,6 +128,8 @@ def test_spikes_are_counted_in_windows_on_the_clock_of_their_trace(tmp_path: Pat
     forced = read(tmp_path, ramp(), {**said, "controlled": "force"})
     np.testing.assert_allclose(forced.table["force"], [2.25, 6.0] * 3, atol=0.12)
     assert "depth" not in forced.table and forced.imposed == "force"
+    named = read(tmp_path, ramp(), {**said, "every": {**RATE["every"], "subject": "one finger"}})
+    np.testing.assert_allclose(named.measured, one.measured)  # what all traces share need not be told of spikes
 
 
 @pytest.mark.parametrize(
