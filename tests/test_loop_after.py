@@ -159,6 +159,18 @@ def test_softer_elements_move_the_correction_half_way_and_widen_what_it_leaves()
     np.testing.assert_allclose(guard(end, only).raw_shift, moved[: len(end.raw)] / math.sqrt(3), rtol=1e-9)
 
 
+def test_what_the_mesh_leaves_does_not_change_while_a_depth_is_held():
+    toy = Toy(mesh=0.03)
+    found = correction(toy, based(toy).raw, NONE)
+    assert found is not None
+    held = next(iter(toy.rows.blocks))
+    count = len(toy.rows.coordinates[held]["depth"])
+    at = {"depth": np.full(count, 1.0), "time": np.arange(count, dtype=float)}
+    alone = dataclasses.replace(toy.rows, coordinates={held: at}, condition=np.full(len(toy.rows), "one"))
+    size = 0.25 * np.abs(found.offset[toy.rows.blocks[held]])
+    np.testing.assert_allclose(found.left(alone)[toy.rows.blocks[held], toy.rows.blocks[held]], np.outer(size, size), rtol=1e-12)
+
+
 def test_look_alikes_are_listed_with_the_misfit_that_would_tell_them_apart() -> None:
     found = confusable(seen(Toy(truth=TRUTH)), ("contact_offset", "force_offset"))
     assert all(pair.lambda_needed == pytest.approx(13 / (1 - pair.cos**2)) for pair in found)
