@@ -18,7 +18,7 @@ from fingerjax.report.tables import heading, shown
 
 HERE = Path(__file__).resolve().parent
 TEMPLATE, REMARKS, PICTURES = HERE / "measured.md.j2", HERE.parent / "fits" / "measured", HERE.parent / "docs" / "pictures"
-ORDER = ("fingerpad", "table1", "bar", "spheres", "mouse_relaxation", "lag", "silicone")
+ORDER = ("fingerpad", "table1", "bar", "spheres", "mouse_relaxation", "mouse_under_force", "mouse_hold", "lag", "silicone")
 EFFECTS, PAIRS = 12, 8
 """Rows of the longest tables that are shown."""
 COLUMNS: Mapping[str, tuple[str, ...]] = {
