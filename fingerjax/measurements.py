@@ -266,7 +266,7 @@ def _traced(
             table, rows = from_contact(table if clock is None else {**table, "clock": clock}, rows, keys.contact)
     if keys.rates is not None:
         with located(origin, "rates"):
-            table, rows = rates_in(table, rows, keys.rates, tidy.table.file)
+            table, rows = rates_in(table, rows, keys.rates, tidy.table.file, keys.every)
     if (table[imposed] < 0).any():
         remedy = "choose a later contact, or correct the zero of the force"
         raise InputError(f"a negative {imposed} after first contact", file=tidy.table.file, place=imposed, remedy=remedy)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ Window = tuple[Number, Number]
 
 
 class RatesKeys(Strict):
-    """`spikes`: a CSV of `time` and of the labels in which traces differ, beside the trace's own file; `windows_s`: from when to when, s,
+    """`spikes`: a CSV of `time` and of the labels that tell traces apart, beside the trace's own file; `windows_s`: from when to when, s,
     on the clock of the trace, or from first contact where that is said.
     """
 
@@ -34,11 +35,12 @@ class RatesKeys(Strict):
 
 
 def rates_in(
-    table: dict[str, np.ndarray], rows: np.ndarray, keys: RatesKeys, beside: Path | None
+    table: dict[str, np.ndarray], rows: np.ndarray, keys: RatesKeys, beside: Path | None, given: Collection[str] = ()
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """One row for each trace and window: spikes per second, and the means of whatever else was recorded, `time` among them.
 
-    **Arguments:** `rows`: the line in the file of each row; `clock` in the table is the time before first contact was set to zero.
+    **Arguments:** `rows`: the line in the file of each row; `given`: columns that are said of all rows, not recorded; `clock` in the table
+    is the time before first contact was set to zero.
     """
     if "time" not in table:
         raise InputError("spikes are counted on the clock of a trace", place="time", remedy="give the trace a column of time")
@@ -48,7 +50,7 @@ def rates_in(
     tidy = Tidy(read_table(file))
     spikes, labels = tidy.needed("time", "time"), {name: tidy.label(name) for name in LABELS if name in table}
     names = [name for name, cells in labels.items() if cells is not None]
-    absent = [name for name in labels if name not in names and len(set(table[name].tolist())) > 1]
+    absent = [name for name in labels if name not in names and name not in given]
     if absent:
         raise InputError("spikes do not say to which trace they belong", file=file, place=absent[0], remedy=f"add a column {absent[0]}")
     parts: list[dict[str, np.ndarray]] = []

@@ -129,7 +129,7 @@ def test_spikes_are_counted_in_windows_on_the_clock_of_their_trace(tmp_path: Pat
     np.testing.assert_allclose(forced.table["force"], [2.25, 6.0] * 3, atol=0.12)
     assert "depth" not in forced.table and forced.imposed == "force"
     named = read(tmp_path, ramp(), {**said, "every": {**RATE["every"], "subject": "one finger"}})
-    np.testing.assert_allclose(named.measured, one.measured)  # what all traces share need not be told of spikes
+    np.testing.assert_allclose(named.measured, one.measured)  # what is said of all traces need not be told of spikes
 
 
 @pytest.mark.parametrize(
@@ -156,6 +156,7 @@ def test_spikes_without_a_trace_are_refused(tmp_path: Path) -> None:
     said = {**RATE, "columns": {"depth_um": "displacement_um"}, "contact": LEVEL, "controlled": "displacement"}
     rates = {"spikes": "spikes.csv", "windows_s": [[0.0, 0.2]]}
     assert "to which trace" in refused(tmp_path, ramp(), {**said, "rates": rates})
+    assert "to which trace" in refused(tmp_path, ramp(), {**said, "rates": rates, "where": {"trial": [1]}})
     assert "no such file" in refused(tmp_path, ramp(), {**said, "rates": {**rates, "spikes": "other.csv"}})
     (tmp_path / "spikes.csv").write_text(spikes())
     assert "in a window" in refused(tmp_path, ramp(), {**said, "rates": {**rates, "windows_s": [[7.0, 8.0]]}})
