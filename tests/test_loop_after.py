@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,12 +17,12 @@ from fingerjax.loop import heldout
 from fingerjax.loop.adequacy import Look, look
 from fingerjax.loop.calibrate import Machine, false_alarms, planted
 from fingerjax.loop.diagnosis import diagnose
-from fingerjax.loop.meshguard import correction, drift, guard
+from fingerjax.loop.meshguard import Correction, correction, drift, guard
 from fingerjax.loop.noise import estimate
 from fingerjax.loop.refit import Optimum, optimum
 from fingerjax.loop.sample import Sample
 from fingerjax.loop.separate import Rival, confusable, distances, next_experiments
-from fingerjax.loop.subject import NONE, LogPrior, Proposal
+from fingerjax.loop.subject import NONE, LogPrior, Proposal, Rows
 from fingerjax.loop.unexplained import curves, spectrum, symmetry
 from fingerjax.study_records import Prior
 
@@ -159,16 +159,29 @@ def test_softer_elements_move_the_correction_half_way_and_widen_what_it_leaves()
     np.testing.assert_allclose(guard(end, only).raw_shift, moved[: len(end.raw)] / math.sqrt(3), rtol=1e-9)
 
 
+def likeness(depths: Iterable[float], condition: Sequence[str], setup: Sequence[str] | None = None) -> np.ndarray:
+    """(rows, rows) correlation of what the mesh leaves of readings at these depths, one second after the other."""
+    at = {"block": {"depth": np.array(depths), "time": np.arange(len(condition), dtype=float)}}
+    rows = Rows(
+        {"block": slice(0, len(condition))}, np.array(condition), np.zeros(len(condition)), at, {}, np.full(len(condition), "1"),
+        setup=None if setup is None else np.array(setup),
+    )  # fmt: skip
+    return Correction(np.full(len(condition), 4.0), np.zeros(len(condition))).left(rows)
+
+
 def test_what_the_mesh_leaves_does_not_change_while_a_depth_is_held():
-    toy = Toy(mesh=0.03)
-    found = correction(toy, based(toy).raw, NONE)
-    assert found is not None
-    held = next(iter(toy.rows.blocks))
-    count = len(toy.rows.coordinates[held]["depth"])
-    at = {"depth": np.full(count, 1.0), "time": np.arange(count, dtype=float)}
-    alone = dataclasses.replace(toy.rows, coordinates={held: at}, condition=np.full(len(toy.rows), "one"))
-    size = 0.25 * np.abs(found.offset[toy.rows.blocks[held]])
-    np.testing.assert_allclose(found.left(alone)[toy.rows.blocks[held], toy.rows.blocks[held]], np.outer(size, size), rtol=1e-12)
+    np.testing.assert_allclose(likeness((1.0, 1.0, 1.0), ("hold",) * 3), 1.0, rtol=1e-12)
+
+
+def test_what_the_mesh_leaves_does_not_change_where_a_stage_creeps():
+    creeping = likeness((1.0, 1.001, 1.002), ("1 mm", "1.001 mm", "1.002 mm"), ("hold",) * 3)
+    np.testing.assert_allclose(creeping, 1.0, atol=1e-4)
+
+
+def test_what_the_mesh_leaves_is_half_as_alike_in_another_set_up_and_less_at_another_depth():
+    found = likeness((1.0, 1.0, 0.5), ("wedge, 1 mm", "plate, 1 mm", "wedge, 0.5 mm"), ("wedge", "plate", "wedge"))
+    assert found[0, 1] == pytest.approx(0.5)
+    assert found[0, 2] == pytest.approx(np.exp(-0.5 * 1.5**2))
 
 
 def test_look_alikes_are_listed_with_the_misfit_that_would_tell_them_apart() -> None:

@@ -42,3 +42,15 @@ def test_an_afferent_beside_its_place_reads_the_slope_of_its_sweep(tmp_path: Pat
     assert not np.any(added[rows.blocks["plate"]])
     (tmp_path / "sure").mkdir()
     assert not rows_of(measured(tmp_path / "sure", placement_mm=0.0)).calibration
+
+
+def test_conditions_of_one_set_up_differ_in_what_was_imposed_alone(tmp_path: Path) -> None:
+    bar = [
+        {"stimulus": name, "trial": k, "position_mm": s, "depth_mm": depth, "rate_Hz": 50.0 + 20.0 * s}
+        for name in ("narrow", "wide") for depth in (0.5, 1.0) for k in (1, 2, 3) for s in PLACES
+    ]  # fmt: skip
+    widths = {"narrow": {"shape": "bar", "width_mm": 1.5}, "wide": {"shape": "bar", "width_mm": 3.0}}
+    bars = {**BAR, "indenter": {"stimuli": widths}}
+    rows = rows_of(study_of(tmp_path, {"bar": (bars, bar)}, {"free": ["epidermis.modulus"]}, diagnose={"effects": "all"}))
+    assert set(rows.setups.tolist()) == {"bar, narrow", "bar, wide"}
+    assert set(rows.conditions) == {f"bar, {name}, {depth} mm" for name in ("narrow", "wide") for depth in ("0.5", "1")}

@@ -2,8 +2,9 @@
 
     D = f_(s h) + H - f_h at the optimum,     f -> f + D,     Sigma_disc = a_i a_j exp(-|x_i - x_j|^2 / 2),     a^2 = (rho D)^2 + H^2 / 3
 
-with coordinates in thirds of their range, rows of two conditions of a block half as alike. Time is not among them: what an elastic body
-reads at one depth has the same error whenever it is read. An error that falls with the power p of the element size leaves
+with coordinates in thirds of their range, which for a depth, a travel and a force begins at contact: a stage that creeps in a hold does not
+make another state of it. Rows of two set-ups of a block are half as alike. Time is not among the coordinates: what an elastic body reads at
+one depth has the same error whenever it is read. An error that falls with the power p of the element size leaves
 rho = s^p / (1 - s^p) of D: a quarter where the finer mesh has half the size. Near incompressibility elements are too stiff and it falls
 more slowly; others are too soft, H is half of the way from the ones to the others on the finer mesh, and the truth is taken to lie
 anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to be named where what may be left could look like one:
@@ -35,8 +36,9 @@ LEAST = 0.1  # of D may always be left
 BETWEEN = math.sqrt(1.0 / 3.0)  # standard deviation of what lies anywhere between -1 and 1
 LARGEST_LAMBDA, LARGEST_SHIFT = 1.0, 0.2
 REACH = 1.0 / 3.0  # length of the kernel, in ranges of a coordinate
-ELSEWHERE = 0.5  # correlation between conditions of one block
+ELSEWHERE = 0.5  # correlation between set-ups of one block
 TIME = "time"  # the coordinate in which no mesh errs
+FROM_CONTACT = ("depth", "displacement", "force")  # coordinates that are zero where a finger is touched first
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +52,14 @@ class Correction:
         """Sigma_disc, block by block."""
         whole = np.zeros((len(rows), len(rows)))
         for name, where in rows.blocks.items():
-            condition = rows.condition[where]
-            alike = np.where(condition[:, None] == condition, 1.0, ELSEWHERE)
+            setup = rows.setups[where]
+            alike = np.where(setup[:, None] == setup, 1.0, ELSEWHERE)
             for along, values in rows.coordinates.get(name, {}).items():
                 if along == TIME:
                     continue
-                span = float(np.ptp(values))
-                place = np.asarray(values, dtype=float) / (REACH * span) if span > 0 else np.zeros(len(condition))
+                ends = (*values, 0.0) if along in FROM_CONTACT else values
+                span = float(np.ptp(ends))
+                place = np.asarray(values, dtype=float) / (REACH * span) if span > 0 else np.zeros(len(setup))
                 alike = alike * np.exp(-0.5 * (place[:, None] - place) ** 2)
             size = np.hypot(rho * self.offset[where], self.softness[where] * BETWEEN)
             whole[where, where] = np.outer(size, size) * alike

@@ -134,6 +134,8 @@ class Rows:
     - `calibration`: name -> (rows,): what one standard deviation of an instrument's calibration adds to every row.
     - `form`: (rows,): standard deviation of what is wrong with any such model, by its geometry and laws, alike in all repeats; None: 0.
     - `repeats`: (rows,) equal numbers for rows that measure the same thing; None: rows that agree in block, condition and coordinates.
+    - `setup`: (rows,) text: subject, shape and whatever else no coordinate tells; conditions of one set-up differ in coordinates alone.
+      None: every condition is one of its own.
     """
 
     blocks: Mapping[str, slice]
@@ -149,6 +151,7 @@ class Rows:
     calibration: Mapping[str, Float[np.ndarray, "rows"]] = field(default_factory=dict)
     form: Float[np.ndarray, "rows"] | None = None
     repeats: Int[np.ndarray, "rows"] | None = None
+    setup: Shaped[np.ndarray, "rows"] | None = None
 
     def __post_init__(self) -> None:
         covered = np.zeros(len(self), dtype=int)
@@ -173,6 +176,11 @@ class Rows:
         for name, where in self.blocks.items():
             names[where] = name
         return names.astype(str)
+
+    @property
+    def setups(self) -> Shaped[np.ndarray, "rows"]:
+        """(rows,) the set-up of each row."""
+        return self.condition if self.setup is None else self.setup
 
     @property
     def conditions(self) -> tuple[str, ...]:

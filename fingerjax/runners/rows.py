@@ -47,6 +47,7 @@ def rows_of(study: Study) -> Rows:
         roles=roles,
         calibration=_placement(study, blocks, condition),
         form=_form(study, condition),
+        setup=np.concatenate([_joined(_setup(one)) for one in measurements]).astype(str),
     )
 
 
@@ -89,16 +90,23 @@ def _placement(study: Study, blocks: dict[str, slice], condition: np.ndarray) ->
     return found
 
 
+def _setup(one: Measurement) -> list[np.ndarray]:
+    """(rows,) each: measurement, and the labels that differ within it."""
+    labels = [one.table[label] for label in LABELS if label in one.table and len(set(one.table[label].tolist())) > 1]
+    return [np.full(len(one), one.name, dtype=object), *labels]
+
+
 def _conditions(one: Measurement) -> np.ndarray:
-    """(rows,) text: measurement, labels, and what was imposed where that makes a case of its own."""
-    parts = [np.full(len(one), one.name, dtype=object)]
-    for label in LABELS:
-        if label in one.table and len(set(one.table[label].tolist())) > 1:
-            parts.append(one.table[label].astype(str).astype(object))
+    """(rows,) text: the set-up, and what was imposed where that makes a case of its own."""
+    parts = _setup(one)
     for imposed in IMPOSED[one.kind]:
         if imposed in one.table and imposed != one.value:
             unit = "N" if imposed == "force" else "mm"
             parts.append(np.array([f"{value:g} {unit}" for value in one.table[imposed]], dtype=object))
+    return _joined(parts)
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
     return np.array([", ".join(map(str, each)) for each in zip(*parts, strict=True)], dtype=object)
 
 
