@@ -20,6 +20,7 @@ from fingerjax.report import StudyResult, loop_figures, loop_tables, loop_words
 from fingerjax.report.loop_page import PLANS, chapters, result
 from fingerjax.report.loop_record import NORMAL, blocks, candidates, error_rows, interval, kind, number
 from fingerjax.report.loop_residuals import remainder, residuals
+from fingerjax.report.loop_words import spoken
 from fingerjax.report.page import page
 from fingerjax.report.records import RunFolder, plain, run_record
 from fingerjax.report.tables import shown
@@ -202,6 +203,20 @@ def test_a_family_of_several_columns_is_told_by_the_one_that_stands_out() -> Non
 def test_both_of_a_pair_are_marked() -> None:
     rows = {row["effect"]: row for row in loop_tables.effects(record("two effects", set=["nail_compliance + contact_offset"])).rows}
     assert rows["nail compliance"]["in_the_set"] and rows["contact offset"]["in_the_set"] and not rows["tip radius"]["in_the_set"]
+
+
+def test_a_terminal_shows_what_explains_the_data_first_with_its_fitted_size() -> None:
+    said = record("attributed")
+    fitted, beside, slight = (said["candidates"][number] for number in (0, 1, 3))
+    fitted["z"], beside["refit"]["reason"] = 3.6, "was given up: it promised no more than chance explains"
+    table = loop_tables.outlook(said, 4)
+    assert table.rows[0]["effect"] == spoken("nail_compliance") and len(table.rows) == 4
+    assert table.rows[0]["size"] == "0.21 (0.17 to 0.25) mm/N" and table.rows[0]["remark"] == "explains these data"
+    rows = {row["effect"]: row["remark"] for row in loop_tables.outlook(said, 99).rows}
+    assert rows[spoken(beside["family"])] == "far behind: given up"
+    assert rows[spoken(slight["family"])] == "no more than chance"
+    assert rows["force gain"].startswith("absorbed")
+    assert table.note == f"{len(said['candidates']) - 4} more in the report"
 
 
 def test_a_trace_that_fits_the_wrong_way_round_speaks_for_nothing() -> None:

@@ -18,8 +18,8 @@ from fingerjax.errors import InputError
 from fingerjax.fem.pardiso import pardiso_available
 from fingerjax.parameters import Parameter
 from fingerjax.report.loop_page import result as page_result
-from fingerjax.report.loop_tables import effects as effect_table
-from fingerjax.report.records import Context, RunFolder, StudyResult, Table, plain
+from fingerjax.report.loop_tables import outlook
+from fingerjax.report.records import Context, RunFolder, StudyResult, plain
 from fingerjax.report.tables import terminal
 from fingerjax.runners import Runner
 from fingerjax.spelling import choose_from
@@ -27,7 +27,6 @@ from fingerjax.study import Study, load_studies
 
 SOLVERS = ("auto", "multigrid", "factorised", "pardiso", "frontal")
 SHOWN = 8  # effects on the terminal; all of them are in the report
-COLUMNS = ("effect", "acts_on", "score", "size_estimated", "smallest_visible", "unit", "in_the_set", "remark")
 
 
 def diagnose(
@@ -184,14 +183,7 @@ def _tell(results: Sequence[StudyResult], place: Path) -> None:
     for one in results:
         screen.print(one.verdict, highlight=False, markup=False)
         if one.loop is not None:
-            screen.print(terminal(_shortened(effect_table(one.loop))))
+            screen.print(terminal(outlook(one.loop, SHOWN)))
         for warning in one.warnings:
             screen.print(f"! {warning}", highlight=False, markup=False)
     screen.print(f"report: {place / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
-
-
-def _shortened(table: Table) -> Table:
-    """The best effects, with the columns that a terminal has room for."""
-    rows = [{column: row[column] for column in COLUMNS} for row in table.rows[:SHOWN]]
-    more = f"{len(table.rows) - SHOWN} more in the report" if len(table.rows) > SHOWN else ""
-    return replace(table, rows=rows, note=more)

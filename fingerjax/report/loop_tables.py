@@ -57,6 +57,34 @@ def effects(record: Record) -> Table:
     return Table("loop_effects", "Effects, ranked", rows, note)
 
 
+def outlook(record: Record, shown: int) -> Table:
+    """The effects for a terminal, those that explain the data first: with the sizes of their own fits where they were fitted."""
+    named = explanations(record)
+    asked = sorted(candidates(record), key=lambda one: str(one["family"]) not in named)
+    rows = [_seen(one, str(one["family"]) in named, number((record.get("critical") or {}).get("maxT"))) for one in asked[:shown]]
+    more = f"{len(asked) - shown} more in the report" if len(asked) > shown else ""
+    return Table("loop_outlook", "Effects, ranked", rows, more)
+
+
+def _seen(one: Mapping[str, Any], named: bool, critical: float) -> Row:
+    fitted = one["refit"] if isinstance(one.get("refit"), Mapping) else {}
+    score_says = size_of(one)[0]
+    size = fitted_sizes(one, fitted) or (short(score_says) if math.isfinite(score_says) else "")
+    return {
+        "effect": spoken(one["family"]),
+        "score": maybe(one.get("z")),
+        "size": f"{size} {unit_of(one)}".strip() if size else "",
+        "visible_from": maybe(one.get("mde")),
+        "remark": "explains these data" if named else _in_brief(one, str(fitted.get("reason") or ""), critical),
+    }
+
+
+def _in_brief(one: Mapping[str, Any], against: str, critical: float) -> str:
+    if against:
+        return "far behind: given up" if against.startswith("was given up") else against
+    return "no more than chance" if one.get("testable") is not False and abs(number(one.get("z"))) < critical else remark(one)
+
+
 def _effect(record: Record, one: Mapping[str, Any]) -> Row:
     return {
         "effect": spoken(one["family"]),

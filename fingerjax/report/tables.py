@@ -65,7 +65,8 @@ def terminal(table: Table) -> RichTable:
     """The table for a terminal."""
     drawn = RichTable(title=table.title, caption=table.note or None, title_justify="left")
     for column in table.columns:
-        drawn.add_column(heading(column), justify="right" if _is_number(table, column) else "left")
+        numbers = _is_number(table, column)
+        drawn.add_column(heading(column), justify="right" if numbers else "left", no_wrap=numbers)
     for row in table.rows:
         drawn.add_row(*(escape(shown(row.get(column))) for column in table.columns))
     return drawn
