@@ -78,6 +78,29 @@ def test_of_a_linear_model_the_score_is_the_refit() -> None:
     assert abs(fixed) < 0.3 * score.change["bent.size"]
 
 
+def test_where_the_model_is_known_a_search_does_not_ask_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    bent, curves = curve("bent", X**2)
+    best = based(Straight((bent,), curves, truth=0.3 * X**2))
+    fitted = optimum(best.sample, bent.columns, best.raw, {"bent.size": 0.1})
+    subject, asked = best.sample.subject, []
+    evaluate = subject.evaluate
+
+    def counted(raw: np.ndarray, phi: Mapping[str, float], moving: tuple[str, ...]) -> Evaluation:
+        asked.append((raw.tolist(), dict(phi)))
+        return evaluate(raw, phi, moving)
+
+    monkeypatch.setattr(subject, "evaluate", counted)
+    moved = best.sample.corrected(0.01 * X**3)
+    anew = optimum(moved, bent.columns, fitted.raw, fitted.phi)
+    begun = (fitted.raw.tolist(), dict(fitted.phi))
+    assert begun in asked
+    asked.clear()
+    again = optimum(moved, bent.columns, fitted.raw, fitted.phi, at=fitted.at)
+    assert begun not in asked and asked
+    np.testing.assert_array_equal(again.raw, anew.raw)
+    assert again.phi == anew.phi and again.settled
+
+
 def test_before_the_fit_has_converged_scores_are_refused() -> None:
     subject = Straight((), {})
     start = optimum(Sample.of(subject, estimate(subject.rows), np.ones(40, dtype=bool)), (), np.zeros(2), NONE)

@@ -123,11 +123,12 @@ def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep
     """
     noise = estimate(subject.rows)
     raw = np.array([parameter.raw() for parameter in subject.parameters])
-    known = correction(subject, raw, NONE)
-    best = _fitted(Sample.of(subject, noise, chosen), raw, known, "base", kept)
+    begun = subject.evaluate(raw, NONE, ())
+    known = correction(subject, raw, NONE, begun)
+    best = _fitted(Sample.of(subject, noise, chosen), raw, known, "base", kept, begun)
     if best.settled and (again := outliers(subject.rows, noise, best.sample.error(best.at))).weights.min() < noise.weights.min():
         noise = again
-        best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, "base with outliers weighed", kept)
+        best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, "base with outliers weighed", kept, best.at)
     asked: Evaluation | None = None
     for number in range(ROUNDS):
         if known is None or not best.settled or (asked is not None and drift(known, best.sample, asked, best.at) < SAME):
@@ -136,17 +137,19 @@ def _base(subject: AbstractSubject, chosen: Bool[np.ndarray, "rows"], kept: Keep
         if moved is None or np.linalg.norm(best.sample.columns((moved.offset - known.offset)[:, None])) < SAME:
             break
         known, asked = moved, best.at
-        best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, f"base on the finer mesh {number}", kept)
+        best = _fitted(Sample.of(subject, noise, chosen), best.raw, known, f"base on the finer mesh {number}", kept, best.at)
     if known is None or not best.settled:
         return noise, best, unchecked(len(subject.rows), len(raw))
     return noise, best, guard(best, known, share_left(subject.refinement))
 
 
-def _fitted(sample: Sample, raw: Float[np.ndarray, "p"], known: Correction | None, name: str, kept: Keep) -> Optimum:
-    """The base fit with the mesh's correction, and with the noise of what that leaves."""
+def _fitted(
+    sample: Sample, raw: Float[np.ndarray, "p"], known: Correction | None, name: str, kept: Keep, at: Evaluation
+) -> Optimum:  # fmt: skip
+    """The base fit with the mesh's correction, and with the noise of what that leaves, from where the model is `at`."""
     if known is not None:
         sample = sample.corrected(known.offset, known.left(sample.subject.rows, share_left(sample.subject.refinement)))
-    return optimum(sample, (), raw, NONE, name=name, kept=kept)
+    return optimum(sample, (), raw, NONE, name=name, kept=kept, at=at)
 
 
 def _looked(

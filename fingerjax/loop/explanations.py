@@ -224,7 +224,8 @@ class Inquiry:
             if known is None or np.linalg.norm(best.sample.columns((known.offset - best.sample.offset)[:, None])) < SAME:
                 break
             name = f"{_label(best.columns)} on its own mesh {number}"
-            again = optimum(best.sample.corrected(known.offset), best.columns, best.raw, best.phi, name=name, kept=self.kept)
+            corrected = best.sample.corrected(known.offset)
+            again = optimum(corrected, best.columns, best.raw, best.phi, name=name, kept=self.kept, at=best.at)
             if not again.settled:
                 break
             best = again

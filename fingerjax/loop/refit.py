@@ -204,12 +204,15 @@ def optimum(
     name: str = "",
     kept: Keep = forget,
     enough: float = math.inf,
+    at: Evaluation | None = None,
 ) -> Optimum:
     """The best point from a start; a finished search is handed to `kept` under its name, as numbers. One that does not promise a sum of
-    squares below `enough` is given up.
+    squares below `enough` is given up. `at`: the model at the start with its slopes in `columns`, where it is known already.
     """
     points = _Points(sample, columns)
     start = np.concatenate([raw, [(phi[one.key] - one.null) / one.scale for one in columns]])
+    if at is not None:
+        points.seen[start.tobytes()] = at
     found = kept(name, lambda: {"x": _search(points, start, enough).tolist()})
     ended = _ended(points, np.array(found["x"], dtype=float))
     if not ended.settled and ended.rss > enough:
