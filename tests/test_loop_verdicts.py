@@ -17,9 +17,10 @@ from fingerjax.loop.explanations import FAMILIES as REFITTED
 from fingerjax.loop.explanations import Inquiry, ahead_of, starts
 from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
-from fingerjax.loop.score import rank
+from fingerjax.loop.score import POWER, rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
 from fingerjax.loop.verdict import decide, out_of_the_mesh
+from fingerjax.loop.writing import written
 from fingerjax.parameters import Parameter
 from fingerjax.report import loop_tables
 from fingerjax.study_records import Reach
@@ -194,6 +195,26 @@ def test_a_coarse_mesh_is_blamed_and_no_effect() -> None:
     assert found.verdict.kind == "mesh-limited" and not found.explanations
     assert found.model.mesh.gate == "failed" and found.model.mesh.lambda_mesh > 1
     assert "refine the mesh" in found.verdict.text
+
+
+def test_where_nothing_is_missed_the_mesh_limits_no_more_than_it_could_hide() -> None:
+    found = investigate(Toy(mesh=0.001, finer_has=0.5), seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    critical, score = found.base.critical.value, found.base.ranking.testable[0]
+    assert found.mesh.checked and not found.base.adequacy.rejected
+
+    def kind(excess: float) -> str:
+        return decide(found.noise, dataclasses.replace(found.mesh, excess=excess), found.base, [], [], ()).kind
+
+    assert kind(0.9 * critical**2) == "adequate" and kind(1.1 * critical**2) == "mesh-limited"
+    # What looks like an effect in what the mesh leaves makes the smallest that would have been seen larger by as much.
+    alike = np.stack([2.0 * score.direction, np.zeros(len(score.direction))], axis=1)
+    coarse = dataclasses.replace(found.mesh, shift=np.ones(found.mesh.shift.shape), remainder=alike)
+    fine = dataclasses.replace(found.mesh, shift=np.zeros(found.mesh.shift.shape), excess=0.5)
+    before, after = (
+        next(one.mde for one in written(dataclasses.replace(found, mesh=mesh)).candidates if one.family == score.family.name)
+        for mesh in (fine, coarse)
+    )
+    assert after / before == pytest.approx((critical + 2.0 + POWER) / (critical + POWER))
 
 
 def test_a_score_alone_says_nothing_against_a_model_where_the_mesh_moves_its_parameters() -> None:

@@ -13,7 +13,8 @@ anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to be named where
 
 A misfit is the mesh's own where lambda is too large and an error twice as large as D would make as much of it: a mesh that converges in
 first order leaves as much as D. Where the gate fails an effect is named only if it explains more than chance and what may be left together:
-its score must exceed the critical value by what the remainder, of the shape of D and H, would score for it.
+its score must exceed the critical value by what the remainder, of the shape of D and H, would score for it. The smallest effect that
+would have been seen is larger by as much; where the whole remainder could pass the critical value nothing is said.
 """
 
 from __future__ import annotations
@@ -95,6 +96,10 @@ class MeshGuard:
     def blind(self) -> bool:
         """Whether what is left may look like an effect, or only like another value of a parameter."""
         return self.checked and self.excess > LARGEST_LAMBDA
+
+    def hides(self, critical: float) -> bool:
+        """Whether what is left could look like an effect whose score chance does not reach, or undo the score of one."""
+        return self.checked and self.excess > critical**2
 
     @property
     def guilty(self) -> bool:

@@ -108,7 +108,7 @@ def _judge(
     if cannot is not None:
         return cannot, ()
     if not base.adequacy.rejected:
-        if mesh.blind:
+        if mesh.hides(base.critical.value):
             return MESH_LIMITED, ()
         return (ADEQUATE if noise.repeated else NOISE_UNKNOWN), ()
     alone, below = tuple(one for one in singles if one.in_set), ahead_of(singles)

@@ -136,7 +136,7 @@ def _candidate(found: Findings, score: Score) -> record.CandidateRecord:
         bound={column.key: (column.lower, column.upper) for column in columns},
         prior_sd={column.key: column.scale for column in columns},
         fraction_left=score.left,
-        mde=score.smallest(found.base.critical.value),
+        mde=score.smallest(found.base.critical.value + (found.mesh.margin(score.direction) if score.testable else 0.0)),
         z=score.z,
         p_adj=adjusted,
         epc=dict(score.change),
