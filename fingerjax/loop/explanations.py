@@ -246,10 +246,12 @@ class Inquiry:
         return both if both.best.settled and first.best.rss - both.best.rss > self.needed(family.name) else None
 
     def _added(self, first: Explanation, node: Node) -> Optimum:
+        """An explanation with one effect more; given up where that does not promise to explain more than chance beside it."""
         sample, columns = first.best.sample, (*first.best.columns, *node.columns)
+        enough = min(self.enough, first.best.rss - self.needed(node.columns[0].family))
         begun = [(raw, {**first.best.phi, **start}) for raw, start in starts(node, first.best)]
         fits = [
-            optimum(sample, columns, raw, start, name=_label(columns, number), kept=self.kept, enough=self.enough)
+            optimum(sample, columns, raw, start, name=_label(columns, number), kept=self.kept, enough=enough)
             for number, (raw, start) in enumerate(begun)
         ]
         return min(fits, key=_misfit)

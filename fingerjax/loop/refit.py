@@ -28,6 +28,7 @@ LEVEL = 1e-6  # largest cosine between the residual and a free column at an opti
 # Standard errors, of the residual's own size where that is larger, that an optimum with effects and one without may lack.
 NEAR, NEARER = 0.1, 0.05
 EVALUATIONS = 60  # of one search
+CLOSE, NEARLY = 0.3, 0.8  # of what an optimum may lack: that a search may lack before it is polished, and one that is not
 POLISH = 4  # Gauss-Newton steps after a search that stopped too early
 ALONG, BROKEN = (1.0, 0.3, 0.1), 0.5  # parts of a step of which none brings more than this share of what it promises
 LAST_LOGIT = 11.5  # raw limits of a logit parameter
@@ -227,7 +228,8 @@ def _search(points: _Points, start: np.ndarray, enough: float) -> np.ndarray:
     if not points.at(start).usable:
         return start
     dear = points.dear(start)
-    near, reached = descend(points.residual, points.jacobian, start, lower, upper, 0.3 * points.near, enough, dear=dear)
+    within = (NEARLY if dear else CLOSE) * points.near
+    near, reached = descend(points.residual, points.jacobian, start, lower, upper, within, enough, dear=dear)
     if reached and dear:
         return near
     if reached or _at_an_edge(points, near):
