@@ -217,6 +217,18 @@ def test_where_nothing_is_missed_the_mesh_limits_no_more_than_it_could_hide() ->
     assert after / before == pytest.approx((critical + 2.0 + POWER) / (critical + POWER))
 
 
+def test_what_a_main_effect_leaves_is_told_by_what_it_looks_like() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.06})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    alone = next(one for one in found.explanations if one.families == ("contact_offset",))
+    left = dataclasses.replace(alone.look, adequacy=dataclasses.replace(alone.look.adequacy, largest_p=1e-4))
+    said = decide(found.noise, found.mesh, found.base, [dataclasses.replace(alone, look=left, eta=0.99)], [], ())
+    assert said.kind == "mainly" and f"what remains looks most like {left.ranking.scores[0].family.name} (score" in said.text
+    left = dataclasses.replace(left, adequacy=dataclasses.replace(left.adequacy, largest_p=0.5, omnibus_p=1e-4))
+    said = decide(found.noise, found.mesh, found.base, [dataclasses.replace(alone, look=left, eta=0.99)], [], ())
+    assert said.kind == "mainly" and said.text.count("that has no name.") == 1
+
+
 def test_a_score_alone_says_nothing_against_a_model_where_the_mesh_moves_its_parameters() -> None:
     toy = Toy(mesh=0.001, finer_has=0.5)
     found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)

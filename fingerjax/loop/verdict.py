@@ -94,11 +94,17 @@ def _against(nearest: Explanation) -> str:
     """Why a model that comes near is not named: what its own residual says against it."""
     if nearest.reason == "":
         return ""
-    said, tests = [nearest.reason], nearest.look.adequacy
-    if tests.largest_p < tests.alpha / 3:
-        rival = nearest.look.ranking.scores[0]
-        said.append(f"what remains looks most like {rival.family.name} (score {rival.z:.1f}, {nearest.look.critical.value:.1f} by chance)")
+    said = [nearest.reason, *_looks_like(nearest)]
     return f"; but the model with them {': '.join(said)}"
+
+
+def _looks_like(one: Explanation) -> list[str]:
+    """What an explanation leaves looks like, in words, where it looks like an effect more than chance would."""
+    tests = one.look.adequacy
+    if not tests.largest_p < tests.alpha / 3:
+        return []
+    rival = one.look.ranking.scores[0]
+    return [f"what remains looks most like {rival.family.name} (score {rival.z:.1f}, {one.look.critical.value:.1f} by chance)"]
 
 
 def _judge(
@@ -183,8 +189,10 @@ def _named(kind: str, members: tuple[Explanation, ...]) -> str:
     if kind == ATTRIBUTED:
         return f"The model lacks {sized}: with it alone nothing is left to be explained, and it {removes}."
     if kind == MAINLY:
+        remainder = "".join(f" ({looks})" for looks in _looks_like(first))
         return (
-            f"The model lacks mainly {sized}: it {removes} and leads every other effect by far, but a remainder is left that has no name."
+            f"The model lacks mainly {sized}: it {removes} and leads every other effect by far, "
+            f"but a remainder is left that has no name{remainder}."
         )
     if kind == TWO:
         return f"The model lacks two effects, {sized}: neither is enough without the other, and together nothing is left to be explained."
