@@ -14,7 +14,7 @@ from fingerjax.errors import InputError
 from fingerjax.loop import diagnosis
 from fingerjax.loop.diagnosis import diagnose, investigate
 from fingerjax.loop.explanations import FAMILIES as REFITTED
-from fingerjax.loop.explanations import Inquiry, ahead_of, starts
+from fingerjax.loop.explanations import Inquiry, ahead_of, passed_over, starts
 from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
 from fingerjax.loop.score import POWER, rank
@@ -227,6 +227,24 @@ def test_what_a_main_effect_leaves_is_told_by_what_it_looks_like() -> None:
     left = dataclasses.replace(left, adequacy=dataclasses.replace(left.adequacy, largest_p=0.5, omnibus_p=1e-4))
     said = decide(found.noise, found.mesh, found.base, [dataclasses.replace(alone, look=left, eta=0.99)], [], ())
     assert said.kind == "mainly" and said.text.count("that has no name.") == 1
+    # One that says nothing of what another measurement misses is not the main one.
+    other = dataclasses.replace(alone, look=left, eta=0.99, passed_over=("bar",))
+    assert decide(found.noise, found.mesh, found.base, [other], [], ()).kind == "unexplained"
+
+
+def test_a_measurement_whose_misfit_an_effect_leaves_is_passed_over() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.06})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    alone = next(one for one in found.explanations if one.families == ("contact_offset",))
+    base, best, chance = found.base.best, alone.best, found.base.critical.value**2
+    assert alone.passed_over == passed_over(base, best, chance) == ()
+    missed = [name for name in toy.rows.blocks if name in passed_over(base, base, chance)]
+    assert missed, "with nothing added every misfit stays"
+    where = toy.rows.blocks[missed[0]]
+    back = best.at.prediction.copy()
+    back[where] = (base.at.prediction + base.sample.offset - best.sample.offset)[where]
+    half = dataclasses.replace(best, at=dataclasses.replace(best.at, prediction=back))
+    assert passed_over(base, half, chance) == (missed[0],)
 
 
 def test_a_score_alone_says_nothing_against_a_model_where_the_mesh_moves_its_parameters() -> None:

@@ -42,6 +42,7 @@ CLOSE = 0.8  # share of the best node's statistic from which on another is refit
 SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is plausible: the first with which the model has an answer
 LEADS, RIVALS = 4, 3  # singles, and what each may be paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
+SURELY, OVER = 3.0, 0.5  # a measurement's misfit, in its standard deviations by chance, and the share that is left where it is passed over
 
 Tell = Callable[[float, str], object]
 
@@ -55,6 +56,7 @@ class Explanation:
     - `drops`: family -> rise of RSS without it. `veto`: rise of chi-square on held-out conditions. `needed`: family -> what its drop must
       exceed.
     - `times_form`: how many times what any model is wrong by the prediction changes, from the base or from the first of two alone.
+    - `passed_over`: measurements whose misfit is left as it was, or more than half of it.
     """
 
     families: tuple[str, ...]
@@ -65,6 +67,7 @@ class Explanation:
     veto: float
     needed: Mapping[str, float]
     times_form: float = math.inf
+    passed_over: tuple[str, ...] = ()
 
     @property
     def best(self) -> Optimum:
@@ -203,7 +206,8 @@ class Inquiry:
         before = self.base.best if beside is None else beside
         change = (best.at.prediction + best.sample.offset) - (before.at.prediction + before.sample.offset)
         times = material.times_form(best.sample.subject.rows, best.sample.chosen, change)
-        return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, needed, times)
+        left_out = passed_over(self.base.best, best, self.chance)
+        return Explanation(families, seen, self.base.best.rss - best.rss, eta, drops, worse, needed, times, left_out)
 
     def _least(self, single: Explanation) -> float:
         """Its sum of squares, or where the search was given up what it did not promise to come below."""
@@ -323,10 +327,27 @@ def ahead_of(singles: list[Explanation]) -> float:
     return min((one.best.rss for one in singles if one.in_set), default=math.inf) - AHEAD
 
 
+def passed_over(base: Optimum, best: Optimum, chance: float) -> tuple[str, ...]:
+    """Measurements that miss more than chance would and keep more than half of that: an effect on a precise one may remove nearly all
+    of the misfit, and say nothing of another that is known less well.
+    """
+    rows, chosen = base.sample.subject.rows, base.sample.chosen
+    squares = [one.sample.error(one.at) ** 2 / np.diag(base.sample.covariance) for one in (base, best)]
+    found = []
+    for name, where in rows.blocks.items():
+        count = int(np.sum(chosen[where]))
+        before, after = (float(np.sum(each[where][chosen[where]])) - count for each in squares)
+        if before > max(chance, SURELY * math.sqrt(2 * count)) and after > OVER * before:
+            found.append(name)
+    return tuple(found)
+
+
 def main(singles: list[Explanation]) -> Explanation | None:
-    """The effect that explains nearly all of the misfit and leads every other family by far, though something is left."""
+    """The effect that explains nearly all of the misfit, passes no measurement over and leads every other family by far, though something
+    is left.
+    """
     sound = [one for one in singles if one.sound]
-    if not sound or sound[0].eta < MATERIAL:
+    if not sound or sound[0].eta < MATERIAL or sound[0].passed_over:
         return None
     others = [_number(one.delta) for one in singles if one is not sound[0]]
     return sound[0] if sound[0].delta - max(others, default=0.0) >= AHEAD else None
