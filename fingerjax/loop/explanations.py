@@ -92,9 +92,14 @@ class Explanation:
         return self.times_form >= material.ENOUGH
 
     @property
+    def helps(self) -> bool:
+        """Significant, large enough to matter, and no veto: a better model within what is plausible, were it at the very end of that."""
+        return self.significant and self.matters and self.holds
+
+    @property
     def sound(self) -> bool:
-        """All but that nothing is left: significant, plausible, large enough to matter, and no veto."""
-        return self.significant and self.best.plausible and self.matters and self.holds
+        """All but that nothing is left: it helps, and does not ask for more than is plausible."""
+        return self.helps and self.best.plausible
 
     @property
     def in_set(self) -> bool:
