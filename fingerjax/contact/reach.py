@@ -19,6 +19,7 @@ from .triangle import SAMPLED
 
 NOTHING_THERE = ("weight", "full", "rim")  # what is 0 of a facet that only fills up a window
 SPARE = 1.25  # soft skin bulges: it is reached this much earlier than the travel says
+LEAST = 32  # hats and facets that a window is made for, at least
 
 
 @dataclass(frozen=True)
@@ -106,9 +107,10 @@ def _cut(whole: Pad, chosen: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def room(count: int) -> int:
-    """`count` rounded up to one of four lengths between powers of two: code is compiled for each length that there is, and a pad has a few
-    facets more or less whenever an indenter or a mesh changes a little.
+    """`count` rounded up to `LEAST` or one of four lengths between powers of two: code is compiled for each length that there is, which
+    takes longer than to solve, and a pad has a few facets more or less whenever an indenter or a mesh changes a little.
     """
+    count = max(count, LEAST)
     step = 2 ** max(int(count).bit_length() - 3, 0)
     return -(-count // step) * step
 
