@@ -42,6 +42,7 @@ CLOSE = 0.8  # share of the best node's statistic from which on another is refit
 SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is plausible: the first with which the model has an answer
 LEADS, RIVALS = 4, 3  # singles, and what each may be paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
+PARTLY = 1 / 3  # of what is left of the excess misfit: a second effect that promises less will not make a model with which nothing is left
 SURELY, OVER = 3.0, 0.5  # a measurement's misfit, in its standard deviations by chance, and the share that is left where it is passed over
 
 Tell = Callable[[float, str], object]
@@ -90,6 +91,11 @@ class Explanation:
     def matters(self) -> bool:
         """Whether it is larger than what any model is wrong by."""
         return self.times_form >= material.ENOUGH
+
+    @property
+    def left(self) -> float:
+        """The excess misfit that is left."""
+        return self.look.adequacy.misfit - self.look.adequacy.df
 
     @property
     def helps(self) -> bool:
@@ -292,10 +298,11 @@ class Inquiry:
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
         """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.
 
-        Those come first that promise the least sum of squares; where one effect is enough only those that promise to be ahead of it.
+        Those come first that promise the least sum of squares. A score is no more than linear, so that one is asked for which promises a
+        third of what is left; where one effect is enough only those are that promise to be ahead of it.
         """
         leads, below = [one for one in singles if one.significant][:LEADS], ahead_of(singles)
-        asked = [(lead, node) for lead in leads for node in self._rivals(lead) if lead.best.rss - node.promise < below]
+        asked = [(lead, node) for lead in leads for node in self._rivals(lead, PARTLY * lead.left) if lead.best.rss - node.promise < below]
         asked.sort(key=lambda pair: pair[0].best.rss - pair[1].promise)
         pairs: dict[frozenset[str], tuple[Explanation, Node]] = {}
         for lead, node in asked:
@@ -311,9 +318,11 @@ class Inquiry:
                 found.append(self._explained(names, fit, without, lead.best))
         return sorted(found, key=lambda one: -_number(one.delta))
 
-    def enlarged(self, lead: Explanation) -> Iterator[Explanation]:
-        """An explanation with each of the effects that its own residual asks for most, but for those that were tried with it already."""
-        for node in self._rivals(lead):
+    def enlarged(self, lead: Explanation, worth: float) -> Iterator[Explanation]:
+        """An explanation with each of the effects that its own residual asks for most and that promise a fall of RSS of `worth`, but for
+        those that were tried with it already.
+        """
+        for node in self._rivals(lead, worth):
             family = node.columns[0].family
             if frozenset((*lead.families, family)) in self.paired:
                 continue
@@ -321,10 +330,12 @@ class Inquiry:
             if fit.settled:
                 yield self._explained((*lead.families, family), fit, {family: lead.best.rss}, lead.best)
 
-    def _rivals(self, lead: Explanation) -> list[Node]:
-        """What promises most beside a lead, of what could be told from the base parameters at all."""
+    def _rivals(self, lead: Explanation, least: float) -> list[Node]:
+        """What promises most beside a lead, and no less than a fall of RSS of `least`, of what could be told from the base parameters at
+        all.
+        """
         scores = [score for score in lead.look.ranking.promising if self.base.ranking[score.family.name].testable]
-        return [score.promising for score in scores[:RIVALS]]
+        return [node for score in scores[:RIVALS] if (node := score.promising).promise >= least]
 
 
 def ahead_of(singles: list[Explanation]) -> float:

@@ -23,7 +23,8 @@ def nearest(inquiry: Inquiry, found: Sequence[Explanation]) -> Explanation | Non
     most = inquiry.reach.together
     while best is not None and len(best.families) < most:
         inquiry.tell(len(best.families) / most, f"{best.name} with one effect more")
-        tried = [one for one in inquiry.enlarged(best) if one.helps and best.best.rss - one.best.rss > WORTH * best.best.rss]
+        worth = WORTH * best.best.rss
+        tried = [one for one in inquiry.enlarged(best, worth) if one.helps and best.best.rss - one.best.rss > worth]
         if not tried:
             break
         best = max(tried, key=lambda one: one.delta)
