@@ -197,6 +197,19 @@ def test_a_coarse_mesh_is_blamed_and_no_effect() -> None:
     assert "refine the mesh" in found.verdict.text
 
 
+def test_a_misfit_unlike_the_error_of_the_mesh_is_not_the_mesh_s() -> None:
+    """A mesh may be as far off as the data are, and yet not have made a misfit of another shape."""
+    coarse, missing = (
+        investigate(Toy(**made), seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)  # type: ignore[arg-type]
+        for made in ({"mesh": 0.1, "finer_has": 0.5}, {"truth": {"contact_offset.offset": 0.06}, "mesh": 0.02, "finer_has": 0.5})
+    )
+    assert coarse.mesh.guilty and coarse.mesh.alike > 0.9
+    assert missing.base.adequacy.rejected and missing.mesh.alike < 0.5
+    far = dataclasses.replace(missing.mesh, excess=30.0, reach=2 * missing.mesh.misfit)
+    assert far.blind and not far.guilty and dataclasses.replace(far, alike=0.9).guilty
+    assert decide(missing.noise, far, missing.base, [], [], ()).kind == "unexplained"
+
+
 def test_where_nothing_is_missed_the_mesh_limits_no_more_than_it_could_hide() -> None:
     found = investigate(Toy(mesh=0.001, finer_has=0.5), seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
     critical, score = found.base.critical.value, found.base.ranking.testable[0]

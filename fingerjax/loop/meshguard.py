@@ -11,10 +11,11 @@ anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to be named where
 
     lambda = |Q L^-1 rho D|^2 + |Q L^-1 H|^2 / 3 <= 1   and   the root of the like sum of J^+ L^-1 rho D <= 0.2 standard deviations
 
-A misfit is the mesh's own where lambda is too large and an error twice as large as D would make as much of it: a mesh that converges in
-first order leaves as much as D. Where the gate fails an effect is named only if it explains more than chance and what may be left together:
-its score must exceed the critical value by what the remainder, of the shape of D and H, would score for it. The smallest effect that
-would have been seen is larger by as much; where the whole remainder could pass the critical value nothing is said.
+A misfit is the mesh's own where lambda is too large, an error twice as large as D would make as much of it, since a mesh that converges in
+first order leaves as much as D, and at least half of it looks like D and H. Where the gate fails an effect is named only if it explains
+more than chance and what may be left together: its score must exceed the critical value by what the remainder, of the shape of D and H,
+would score for it. The smallest effect that would have been seen is larger by as much; where the whole remainder could pass the critical
+value nothing is said.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import lsq_linear
 
 from .refit import Optimum
 from .sample import Sample
@@ -36,6 +38,8 @@ ORDER = math.log2((1 + RHO) / RHO)
 LEAST = 0.1  # of D may always be left
 BETWEEN = math.sqrt(1.0 / 3.0)  # standard deviation of what lies anywhere between -1 and 1
 LARGEST_LAMBDA, LARGEST_SHIFT = 1.0, 0.2
+TWICE = 2.0  # what a mesh may leave at the worst, in D and in H
+ALIKE = 0.5  # share of a misfit that looks like the mesh's error, from which on the mesh may have made all of it
 REACH = 1.0 / 3.0  # length of the kernel, in ranges of a coordinate
 ELSEWHERE = 0.5  # correlation between set-ups of one block
 TIME = "time"  # the coordinate in which no mesh errs
@@ -72,7 +76,8 @@ class MeshGuard:
     """What is known of the mesh.
 
     - `offset` (rows,): D. `left` (rows, rows): Sigma_disc.
-    - `reach`: misfit, in the noise alone, that an error of twice D would make, and `misfit` what there is above chance.
+    - `reach`: misfit, in the noise alone, that an error of twice D would make, `misfit` what there is above chance, and `alike` the share
+      of that which D and H would take away.
     - `remainder` (sample, 2): Q L^-1 rho D and Q L^-1 H / sqrt 3. `excess`: lambda.
     - `shift` (p,): of the raw parameters in standard deviations; `raw_shift` (p,): the same in raw numbers.
     """
@@ -84,6 +89,7 @@ class MeshGuard:
     raw_shift: Float[np.ndarray, "p"]
     reach: float = 0.0
     misfit: float = 0.0
+    alike: float = 1.0
     rho: float = RHO
     checked: bool = True
     remainder: Float[np.ndarray, "sample 2"] | None = None
@@ -104,7 +110,7 @@ class MeshGuard:
     @property
     def guilty(self) -> bool:
         """Whether the mesh could have made all of the misfit."""
-        return self.blind and self.misfit <= self.reach
+        return self.blind and self.misfit <= self.reach and self.alike >= ALIKE
 
     @property
     def gate(self) -> str:
@@ -165,11 +171,17 @@ def guard(best: Optimum, known: Correction, rho: float = RHO) -> MeshGuard:
     left = known.left(sample.subject.rows, rho)
     bare = sample.corrected(known.offset, -left)
     projection = Projection.of(bare.jacobian(best.at, best.raw))
-    reach = 4.0 * _size(projection, bare.columns(np.stack([known.offset, BETWEEN * known.softness], axis=1)))
+    reach = TWICE**2 * _size(projection, bare.columns(np.stack([known.offset, BETWEEN * known.softness], axis=1)))
     residual = projection(bare.residual(best.at, best.raw))
     misfit = float(np.sum(residual**2)) - (residual.size - projection.rank)
+    alike = _taken(projection(bare.columns(np.stack([known.offset, known.softness], axis=1))), residual) / max(misfit, 1.0)
     remainder = best.projection(whitened)
-    return MeshGuard(known.offset, left, float(np.sum(remainder**2)), shift, raw, reach, misfit, rho, remainder=remainder)
+    return MeshGuard(known.offset, left, float(np.sum(remainder**2)), shift, raw, reach, misfit, alike, rho, remainder=remainder)
+
+
+def _taken(columns: Float[np.ndarray, "sample k"], residual: Float[np.ndarray, "sample"]) -> float:
+    """The fall of a sum of squares that columns bring, each at most twice."""
+    return float(residual @ residual - 2.0 * lsq_linear(columns, residual, bounds=(-TWICE, TWICE)).cost)
 
 
 def _size(projection: Projection, columns: Float[np.ndarray, "rows k"]) -> float:
