@@ -162,11 +162,11 @@ def test_traps_need_the_right_words():
     assert lines["mesh too coarse: said to be"].value == 1.0
 
 
-def test_a_null_is_rejected_at_a_third_of_the_level():
+def test_a_null_is_rejected_where_a_test_is_below_its_share_of_the_level():
     null = truth(kind="none", families=[], **{"lambda": 0.0})
     said = report("adequate", ())
-    for p, rejected in ((0.02, False), (0.016, True)):
-        said["loop"]["base"]["lof"] = {"omnibus_p": p, "smooth_p": 0.5, "maxT_p": None}
+    for omnibus, largest, rejected in ((0.021, None, False), (0.019, None, True), (0.5, 0.011, False), (0.5, 0.009, True)):
+        said["loop"]["base"]["lof"] = {"omnibus_p": omnibus, "smooth_p": 0.5, "maxT_p": largest}
         assert score.judge(said, null).rejected is rejected
     said["loop"]["base"]["lof"] = None
     assert not score.judge(said, null).rejected

@@ -1,4 +1,7 @@
-"""Does the model fit? Three tests that see different misfits, a third of alpha each.
+"""Does the model fit? Three tests that see different misfits, at levels that sum to alpha: two fifths, two fifths, and one fifth.
+
+The last is the strictest, since what it sees is named: where nothing is missed and the model is rejected all the same, nothing is
+named then as a rule.
 
     omnibus     |r|^2 along what can be predicted at all, J apart                         any misfit, weakly
     smooth      the same on the lowest cosines of every condition, made orthogonal to J       what bends slowly, well
@@ -23,6 +26,8 @@ from .score import Ranking, rank
 from .subject import Family
 
 MODES = 30
+# Shares of alpha: what leads to a name must be rarer by chance than what says that something is missed.
+OMNIBUS, SMOOTH, LARGEST = 0.4, 0.4, 0.2
 
 
 @dataclass(frozen=True)
@@ -38,12 +43,17 @@ class Adequacy:
 
     @property
     def rejected(self) -> bool:
-        return min(self.omnibus_p, self.smooth_p, self.largest_p) < self.alpha / 3
+        return self.bends or self.resembles
 
     @property
     def bends(self) -> bool:
         """Whether one of the two tests that know no effect rejects."""
-        return min(self.omnibus_p, self.smooth_p) < self.alpha / 3
+        return self.omnibus_p < OMNIBUS * self.alpha or self.smooth_p < SMOOTH * self.alpha
+
+    @property
+    def resembles(self) -> bool:
+        """Whether what is left looks like an effect of the catalogue more than chance would."""
+        return self.largest_p < LARGEST * self.alpha
 
 
 @dataclass(frozen=True, eq=False)

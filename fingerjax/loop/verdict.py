@@ -101,7 +101,7 @@ def _against(nearest: Explanation) -> str:
 def _looks_like(one: Explanation) -> list[str]:
     """What an explanation leaves looks like, in words, where it looks like an effect more than chance would."""
     tests = one.look.adequacy
-    if not tests.largest_p < tests.alpha / 3:
+    if not tests.resembles:
         return []
     rival = one.look.ranking.scores[0]
     return [f"what remains looks most like {rival.family.name} (score {rival.z:.1f}, {one.look.critical.value:.1f} by chance)"]
