@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from fingerjax.loop import diagnosis
 from fingerjax.loop.diagnosis import diagnose, investigate
 from fingerjax.loop.explanations import FAMILIES as REFITTED
 from fingerjax.loop.explanations import Inquiry, ahead_of, passed_over, starts
+from fingerjax.loop.nearest import nearest
 from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
 from fingerjax.loop.score import POWER, rank
@@ -313,6 +314,38 @@ def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> No
 
     assert searched("contact_offset").settled and searched("contact_offset").rss < base.rss - 100.0
     assert not searched("epidermis_thickness").settled and "given up" in searched("epidermis_thickness").reason
+
+
+def test_a_second_effect_is_searched_only_where_it_promises_a_third_of_what_is_left() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.04, "spontaneous_rate.rate": 6.0})
+    searched: dict[str, dict] = {}
+
+    def kept(name: str, make: Callable[[], dict]) -> dict:
+        return searched.setdefault(name, make())
+
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0, kept=kept)
+    first, second = next(one for one in found.explanations if len(one.families) == 2).families
+    lead = next(one for one in found.explanations if one.families == (first,))
+    assert second in {name for one in inquiry.pairs([lead]) for name in one.families} and searched
+    promised = max(score.promising.promise for score in lead.look.ranking.promising)
+    for times, tried in ((2.9, True), (3.1, False)):
+        searched.clear()
+        much = dataclasses.replace(lead.look.adequacy, misfit=lead.look.adequacy.df + times * promised)
+        assert bool(inquiry.pairs([dataclasses.replace(lead, look=dataclasses.replace(lead.look, adequacy=much))]) or searched) is tried
+
+
+def test_the_nearest_model_may_hold_as_much_of_an_effect_as_is_plausible() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.06})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    alone = next(one for one in found.explanations if one.families == ("contact_offset",))
+    column = alone.best.columns[0]
+    end = dataclasses.replace(alone.best, phi={column.key: column.upper})
+    most = dataclasses.replace(alone, look=dataclasses.replace(alone.look, best=end))
+    inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0, reach=Reach(together=1))
+    assert most.helps and not most.sound and not most.in_set
+    assert nearest(inquiry, [most]) is most
+    assert nearest(inquiry, [dataclasses.replace(most, veto=99.0)]) is None, "what was held out may still object"
 
 
 def test_where_one_effect_is_enough_those_that_promise_next_to_nothing_are_not_refitted() -> None:
