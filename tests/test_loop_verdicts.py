@@ -354,7 +354,7 @@ def test_where_one_effect_is_enough_those_that_promise_next_to_nothing_are_not_r
     inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0)
     most = found.base.ranking.promising[:REFITTED]
     little = {score.family.name for score in most if score.promising.promise < 0.25 * inquiry.needed(score.family.name)}
-    assert little and not any(inquiry._remote(name) for name in little)
+    assert little and not any(inquiry._remote(name, False) for name in little)
     refitted = {one.families[0] for one in found.explanations if len(one.families) == 1}
     assert "contact_offset" in refitted and found.verdict.names[0] == "contact_offset"
     assert refitted == {score.family.name for score in most} - little
@@ -362,7 +362,7 @@ def test_where_one_effect_is_enough_those_that_promise_next_to_nothing_are_not_r
     enough = next(one for one in found.explanations if one.families == ("contact_offset",))
     for veto, skipped in ((0.0, True), (99.0, False)):
         inquiry.found = {"contact_offset": dataclasses.replace(enough, veto=veto)}
-        assert all(inquiry._remote(name) is skipped for name in little)
+        assert all(inquiry._remote(name, False) is skipped for name in little)
 
 
 def test_effects_that_are_dear_are_refitted_after_the_others() -> None:
@@ -373,6 +373,22 @@ def test_effects_that_are_dear_are_refitted_after_the_others() -> None:
     refits = [what.removeprefix("refit with ") for what in told if what.startswith("refit with") and " and " not in what]
     assert found.base.ranking.promising[0].family.name == "contact_offset"
     assert len(refits) > 1 and refits[-1] == "contact_offset" == found.verdict.names[0]
+
+
+def test_an_effect_that_is_dear_is_left_out_where_it_promises_far_less_than_another_brought() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.06, "spontaneous_rate.rate": 8.0})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0)
+    promising = found.base.ranking.promising
+    assert not any(inquiry._remote(score.family.name, True) for score in promising), "none brought anything yet"
+    inquiry.leading = max(one.delta for one in found.explanations)
+    for score in promising:
+        little = score.promising.promise < 0.5 * inquiry.leading
+        assert inquiry._remote(score.family.name, True) is little and not inquiry._remote(score.family.name, False)
+    assert {inquiry._remote(score.family.name, True) for score in promising} == {True, False}
+    # A fit that was bent far by what it lacks says little of what an effect promises.
+    inquiry.early = found.base.ranking
+    assert not any(inquiry._remote(score.family.name, True) for score in promising)
 
 
 def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> None:

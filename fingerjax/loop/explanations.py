@@ -38,6 +38,7 @@ BEHIND = 10.0  # critical values by which an explanation may be behind the leade
 ASKED, SAME = 2, 0.5  # times that the mesh is asked, and change of what it says, in standard errors, that is none
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
 REMOTE = 0.25  # of the fall of RSS that an effect needs: one that promises less is not refitted where another is enough
+DEAR = 0.5  # of the leader's fall of RSS: an effect that is dear to refit and promises less is asked for beside another, but not alone
 CLOSE = 0.8  # share of the best node's statistic from which on another is refitted too
 SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is plausible: the first with which the model has an answer
 LEADS, RIVALS = 4, 3  # singles, and what each may be paired with
@@ -275,7 +276,8 @@ class Inquiry:
         """The families that promise most, refitted, best first; where there are two rankings, by turns. Those that are dear come last.
 
         A refit finds more than a score expects where an effect is large and bends, but that is of a large misfit: where one effect is
-        enough, those of which the score expects next to nothing are left out.
+        enough, those of which the score expects next to nothing are left out, and those that are dear where it expects far less than the
+        leader brought.
         """
         late = [score.family.name for score in self.base.ranking.promising]
         early = [] if self.early is None else [score.family.name for score in self.early.promising if score.family.name in late]
@@ -283,17 +285,18 @@ class Inquiry:
         dear = {family.name for family in self.families if family.dear}
         ranked = sorted(list(dict.fromkeys(turns))[:FAMILIES], key=lambda name: name in dear)
         for number, name in enumerate(ranked):
-            if self._remote(name):
+            if self._remote(name, name in dear):
                 continue
             self.tell(number / len(ranked), f"refit with {name}")
             self.single(name)
         return sorted(self.found.values(), key=lambda one: -_number(one.delta))
 
-    def _remote(self, family: str) -> bool:
-        """Whether an effect promises next to nothing beside one that is enough."""
-        if self.early is not None or not any(one.in_set for one in self.found.values()):
+    def _remote(self, family: str, dear: bool) -> bool:
+        """Whether an effect promises next to nothing beside one that is enough, or is dear and promises far less than another brought."""
+        if self.early is not None:
             return False
-        return self.base.ranking[family].promising.promise < REMOTE * self.needed(family)
+        promise, alone = self.base.ranking[family].promising.promise, any(one.in_set for one in self.found.values())
+        return (alone and promise < REMOTE * self.needed(family)) or (dear and promise < DEAR * self.leading)
 
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
         """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.
