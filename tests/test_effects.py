@@ -269,6 +269,21 @@ def test_a_trace_begins_at_its_clocks_zero_unless_that_is_a_sessions(time: list[
     np.testing.assert_array_equal(context(np.array(time), np.zeros(len(time))).since_start(), since)
 
 
+@pytest.mark.parametrize(
+    ("time", "trace", "since"),
+    [
+        ([0.3, 0.3, 3.0, 3.0], [0, 0, 1, 1], [0.3, 0.3, 3.0, 3.0]),
+        ([900.0, 902.0, 904.0], [0, 1, 2], [0.0, 0.0, 0.0]),
+        ([2.0, 2.0, 2.0], [0, 1, 2], [0.0, 0.0, 0.0]),
+        ([0.5, 3.0, 901.0, 902.0], [0, 1, 2, 2], [0.5, 3.0, 0.0, 1.0]),
+    ],
+)
+def test_traces_of_one_instant_share_a_clock_where_it_begins_at_zero(time: list[float], trace: list[int], since: list[float]) -> None:
+    rows = jnp.arange(len(time))
+    apart = Context({"time": jnp.asarray(time)}, rows, rows, jnp.asarray(trace), "rates", "spike_rate", False)
+    np.testing.assert_array_equal(apart.since_start(), since)
+
+
 def test_relaxation_of_a_ramp_and_hold_is_its_convolution() -> None:
     relaxation = next(effect for effect in catalogue() if effect.name == "relaxation")
     time = np.array([0.0, 0.1, 0.25, 0.4, 1.0, 2.0, 5.0])

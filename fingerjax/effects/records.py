@@ -75,13 +75,16 @@ class Context(eqx.Module):
 
     def since_start(self) -> Float[Array, " r"]:
         """Seconds since the trace began: at its clock's zero, unless the first row is later after that than the trace is long, as by the
-        clock of a session; then at the first row.
+        clock of a session; then at the first row. Traces of one instant, as rates under conditions that are named after their times, are
+        asked together whether their clocks begin at zero.
         """
         time = self.table["time"]
-        first = jnp.full(len(self.trace), jnp.inf).at[self.trace].min(time)
-        length = jnp.full(len(self.trace), -jnp.inf).at[self.trace].max(time) - first
-        begun = jnp.where((first >= 0) & (first <= length), 0.0, first)
-        return time - begun[self.trace]
+        first = jnp.full(len(self.trace), jnp.inf).at[self.trace].min(time)[self.trace]
+        last = jnp.full(len(self.trace), -jnp.inf).at[self.trace].max(time)[self.trace]
+        instant = first == last
+        earliest = jnp.where(instant, jnp.min(time, where=instant, initial=jnp.inf), first)
+        latest = jnp.where(instant, jnp.max(time, where=instant, initial=-jnp.inf), last)
+        return time - jnp.where((earliest >= 0) & (earliest <= latest - earliest), 0.0, first)
 
     def fading(self, given: Float[Array, " r"], time: Float[Array, ""], *, from_rest: bool) -> Float[Array, " r"]:
         """What is left of a quantity's changes when each of them fades as exp(-t/time); linear between rows.
