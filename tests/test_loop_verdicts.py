@@ -11,7 +11,7 @@ import pytest
 from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy, predicted
 
 from fingerjax.errors import InputError
-from fingerjax.loop import diagnosis
+from fingerjax.loop import diagnosis, explanations
 from fingerjax.loop.diagnosis import diagnose, investigate
 from fingerjax.loop.explanations import FAMILIES as REFITTED
 from fingerjax.loop.explanations import Inquiry, ahead_of, passed_over, starts
@@ -397,6 +397,25 @@ def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> N
     low, high = found.after.phi["contact_offset.offset"].ci
     assert low < 0.06 < high
     assert found.after.theta["skin.modulus"].mesh_sd > 0
+
+
+def test_the_mesh_is_not_asked_again_for_an_effect_that_leaves_most_of_the_misfit(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[frozenset[str]] = []
+
+    def corrected(subject: object, raw: np.ndarray, phi: Mapping[str, float], at: Evaluation) -> object:
+        asked.append(frozenset(phi))
+        return correction(subject, raw, phi, at)  # type: ignore[arg-type]
+
+    correction = explanations.correction
+    monkeypatch.setattr(explanations, "correction", corrected)
+    for outside, truth in ((lambda: 2 * _callus(), {}), (None, {"contact_offset.offset": 0.06})):
+        asked.clear()
+        toy = Toy(mesh=0.03, truth=truth, outside=outside)
+        found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+        base = found.base.best
+        large = [one for one in found.explanations if base.rss - one.best.rss > 0.5 * (base.rss - base.df)]
+        assert base.sample.offset.any() and 0.5 * (base.rss - base.df) > 3 * math.sqrt(2 * base.df)
+        assert bool(large) is bool(asked) is bool(truth)
 
 
 def test_without_a_known_noise_nothing_is_named() -> None:

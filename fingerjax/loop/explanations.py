@@ -33,7 +33,7 @@ from .score import Node, Ranking, combined
 from .subject import Column, Family
 
 FAMILIES, NODES = 7, 2  # refitted, best first
-NEARLY = 0.7  # of the leader's fall of RSS from which on the mesh is asked again
+NEARLY, MOST = 0.7, 0.5  # of the leader's fall of RSS, and of what RSS has too much, from which on the mesh is asked again
 BEHIND = 10.0  # critical values by which an explanation may be behind the leader and still be followed to its end
 ASKED, SAME = 2, 0.5  # times that the mesh is asked, and change of what it says, in standard errors, that is none
 ASTRAY = 5.0  # misfit over degrees of freedom from which on the end of a fit is no place to begin
@@ -44,7 +44,7 @@ SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is p
 LEADS, RIVALS = 4, 3  # singles, and what each may be paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
 PARTLY = 1 / 3  # of what is left of the excess misfit: a second effect that promises less will not make a model with which nothing is left
-SURELY, OVER = 3.0, 0.5  # a measurement's misfit, in its standard deviations by chance, and the share that is left where it is passed over
+SURELY, OVER = 3.0, 0.5  # a misfit, in its standard deviations by chance, and the share that is left of one that is passed over
 
 Tell = Callable[[float, str], object]
 
@@ -229,10 +229,12 @@ class Inquiry:
         return Look(best, self.base.ranking, self.base.critical, self.base.adequacy)
 
     def _on_its_own_mesh(self, best: Optimum) -> Optimum:
-        """With the mesh's correction made anew where the effect led, for those that are near the leader."""
-        delta = self.base.best.rss - best.rss
+        """With the mesh's correction made anew where the effect led, for those that are near the leader and do not surely leave most."""
+        base = self.base.best
+        delta = base.rss - best.rss
         self.leading = max(self.leading, delta if best.settled else 0.0)
-        if not best.settled or delta < max(self.chance, NEARLY * self.leading) or not best.sample.offset.any():
+        far = delta < MOST * (base.rss - base.df) and best.rss > best.df + SURELY * math.sqrt(2 * best.df)
+        if not best.settled or far or delta < max(self.chance, NEARLY * self.leading) or not best.sample.offset.any():
             return best
         for number in range(ASKED):
             asked = best.at
