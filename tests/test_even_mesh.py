@@ -50,6 +50,20 @@ def test_elements_are_as_small_as_the_nodes_allow(tmp_path: Path) -> None:
     assert size > 1.0 and 0.25 * whole < diagnosing._nodes(one, size, True) < 0.65 * whole
 
 
+def test_where_fewer_nodes_are_asked_for_than_a_mesh_can_have_the_finer_one_is_finer_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, least = study(tmp_path, "rigid"), 2_400
+
+    def nodes(_: Study, size: float, even: bool) -> int:
+        return max(round(66_000 / size**1.5), least)
+
+    monkeypatch.setattr(diagnosing, "_nodes", nodes)
+    size = diagnosing._size(one, 1_500, 1.0, nodes(one, 1.0, True))
+    assert nodes(one, size, True) == least
+    assert nodes(one, diagnosing._finer(one, size, True), True) > 2 * least
+
+
 def test_a_mesh_whose_layers_are_too_large_or_small_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one, heard = study(tmp_path, "rigid", {"pad_mm": 0.9, "proximal_mm": 1.8}), []
     off = meshed(one)[1].quality["volume_error"]

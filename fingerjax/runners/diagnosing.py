@@ -29,6 +29,7 @@ FINER = 0.35  # element size of the finer mesh over that of the mesh, where its 
 CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
 TRIES = 3  # meshes on the way to one of the right number of nodes
 NEAR, ABOVE = 0.85, 1.1  # of the nodes that are allowed: enough, and not worth another mesh
+HARDLY = 0.98  # share of the nodes that larger elements leave from which on layers and indenters ask for those, whatever is allowed
 
 
 def diagnose_study(
@@ -115,11 +116,15 @@ def _finer(study: Study, size: float, even: bool) -> float:
 
 
 def _size(study: Study, most: int, size: float, nodes: int, even: bool = True) -> float:
-    """The size of elements with which a mesh has at most about so many nodes, where one with elements of `size` has `nodes`."""
+    """The size of elements with which a mesh has at most about so many nodes, or as few as it can have, where one with elements of `size`
+    has `nodes`.
+    """
     power = GROWTH
     for _ in range(TRIES):
         larger = size * (nodes / (0.95 * most)) ** (1 / power)
         fewer = _nodes(study, larger, even)
+        if larger > size and fewer > HARDLY * nodes:
+            break
         fall = math.log(nodes / fewer)
         if fall * (larger - size) > 0:
             power = min(max(fall / math.log(larger / size), 0.8), 3.0)
