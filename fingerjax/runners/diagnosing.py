@@ -120,10 +120,10 @@ def _size(study: Study, most: int, size: float, nodes: int, even: bool = True) -
     has `nodes`.
     """
     power = GROWTH
-    for _ in range(TRIES):
+    for number in range(TRIES):
         larger = size * (nodes / (0.95 * most)) ** (1 / power)
         fewer = _nodes(study, larger, even)
-        if larger > size and fewer > HARDLY * nodes:
+        if number and larger > size and fewer > HARDLY * nodes:  # the first may have been counted on a mesh of the other kind
             break
         fall = math.log(nodes / fewer)
         if fall * (larger - size) > 0:
