@@ -20,7 +20,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from benchmarks import _afferents, _fingerpad, _table1
 from benchmarks._measured_page import page
 from benchmarks._parts import program, run_parts
 from benchmarks._record import Figure
+from benchmarks._sections import last_number, rows
 from fingerjax.commands._parts import Parts
 from fingerjax.commands.run import prepare
 from fingerjax.loop.diagnosis import investigate
@@ -199,9 +200,16 @@ def told(figures: Sequence[Figure]) -> str:
     return page(found, figures, [name for name in studies() if name not in there], before)
 
 
+def longest_first(names: Iterable[str], before: str) -> list[str]:
+    """Studies in the order in which several at a time take least: those first that the page says took long, before these what it lacks."""
+    took = {name: last_number(row) for name, row in rows(before).items()}
+    return sorted(names, key=lambda name: -took.get(name, math.inf))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
-    run_parts({name: partial(part, name) for name in studies()}, __doc__, (PAGE, told), arguments, partial=True)
+    order = longest_first(studies(), PAGE.read_text(encoding="utf-8") if PAGE.is_file() else "")
+    run_parts({name: partial(part, name) for name in order}, __doc__, (PAGE, told), arguments, partial=True)
 
 
 if __name__ == "__main__":

@@ -127,6 +127,12 @@ def test_a_thinned_body_goes_all_the_way_to_the_page(name: str, measured: Path, 
     assert f"## {name}" in text and kept["record"]["verdict"]["kind"].replace("_", " ") in text.replace("_", " ")
 
 
+def test_what_took_longest_starts_first() -> None:
+    before = "| [a](#a) | adequate | 3 |\n| [b](#b) | adequate | 40 |\n"
+    assert studies_of.longest_first(["a", "b", "new"], before) == ["new", "b", "a"]
+    assert studies_of.longest_first(["a", "b"], "") == ["a", "b"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FINGERS)
 def test_a_thinned_study_goes_all_the_way(name: str, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
