@@ -204,11 +204,15 @@ def test_a_misfit_unlike_the_error_of_the_mesh_is_not_the_mesh_s() -> None:
         investigate(Toy(**made), seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)  # type: ignore[arg-type]
         for made in ({"mesh": 0.1, "finer_has": 0.5}, {"truth": {"contact_offset.offset": 0.06}, "mesh": 0.02, "finer_has": 0.5})
     )
-    assert coarse.mesh.guilty and coarse.mesh.alike > 0.9
+    assert coarse.mesh.guilty(math.inf) and coarse.mesh.alike > 0.9
     assert missing.base.adequacy.rejected and missing.mesh.alike < 0.5
     far = dataclasses.replace(missing.mesh, excess=30.0, reach=2 * missing.mesh.misfit)
-    assert far.blind and not far.guilty and dataclasses.replace(far, alike=0.9).guilty
+    assert far.blind and not far.guilty(3.0) and dataclasses.replace(far, alike=0.9).guilty(math.inf)
     assert decide(missing.noise, far, missing.base, [], [], ()).kind == "unexplained"
+    # Where the mesh is that coarse, and its error would make as much, nothing can be said of the misfit's shape.
+    coarser = dataclasses.replace(far, reach=4.1 * missing.mesh.misfit)
+    assert coarser.guilty(3.0) and not coarser.guilty(6.0) and not dataclasses.replace(coarser, excess=5.0).guilty(3.0)
+    assert decide(missing.noise, coarser, missing.base, [], [], ()).kind == "mesh-limited"
 
 
 def test_where_nothing_is_missed_the_mesh_limits_no_more_than_it_could_hide() -> None:

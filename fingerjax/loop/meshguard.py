@@ -12,7 +12,9 @@ anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to be named where
     lambda = |Q L^-1 rho D|^2 + |Q L^-1 H|^2 / 3 <= 1   and   the root of the like sum of J^+ L^-1 rho D <= 0.2 standard deviations
 
 A misfit is the mesh's own where lambda is too large, an error twice as large as D would make as much of it, since a mesh that converges in
-first order leaves as much as D, and at least half of it looks like D and H. Where the gate fails an effect is named only if it explains
+first order leaves as much as D, and at least half of it looks like D and H. A mesh so coarse that what is expected to be left of D would
+pass for an effect by itself may err in another shape at every size of element: there any misfit is its own that is no larger than D and H
+would make, unless an effect explains it. Where the gate fails an effect is named only if it explains
 more than chance and what may be left together: its score must exceed the critical value by what the remainder, of the shape of D and H,
 would score for it. The smallest effect that would have been seen is larger by as much; where the whole remainder could pass the critical
 value nothing is said.
@@ -107,10 +109,10 @@ class MeshGuard:
         """Whether what is left could look like an effect whose score chance does not reach, or undo the score of one."""
         return self.checked and self.excess > critical**2
 
-    @property
-    def guilty(self) -> bool:
+    def guilty(self, critical: float) -> bool:
         """Whether the mesh could have made all of the misfit."""
-        return self.blind and self.misfit <= self.reach and self.alike >= ALIKE
+        looks_like_it = self.blind and self.misfit <= self.reach and self.alike >= ALIKE
+        return looks_like_it or (self.hides(critical) and self.misfit <= self.reach / TWICE**2)
 
     @property
     def gate(self) -> str:

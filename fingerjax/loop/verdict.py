@@ -128,7 +128,7 @@ def _judge(
     if both:
         return (TWO if len(both) == 1 else AMBIGUOUS), both
     beyond = any(one.significant for one in singles) or base.adequacy.bends
-    return (MESH_LIMITED if mesh.guilty or not (mesh.passed or beyond) else UNEXPLAINED), ()
+    return (MESH_LIMITED if mesh.guilty(base.critical.value) or not (mesh.passed or beyond) else UNEXPLAINED), ()
 
 
 def _cannot(noise: Noise, base: Look) -> str | None:

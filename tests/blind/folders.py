@@ -76,13 +76,16 @@ def study(scenario: Scenario, world: World) -> dict[str, Any]:
         model["receptor"] = {"depth_mm": world.flesh.receptors[0][1], "z_mm": world.nominal.site, "theta_deg": 270.0}
     there = [record.name for record in world.records]
     kept = [one for one in HELD_OUT[scenario.finger] if one["measurement"] in there] if scenario.hold_out else []
+    asked: dict[str, Any] = {"effects": "all", "model_error": dict(MODEL_ERROR), "placement_mm": PLACED}
+    asked |= {"hold_out": kept} if kept else {}
+    asked |= {"nodes": world.nodes} if world.nodes else {}
     return {
         "version": 1,
         "finger": {"sections": "sections.csv", "nail": nail, "resolution": {"pad_mm": pad, "proximal_mm": proximal}},
         "model": model,
         "measurements": [{"name": name, "data": f"{name}.csv"} for name in there],
         "fit": {"free": [f"{layer}.modulus" for layer in SURFACES[:4]]},
-        "diagnose": {"effects": "all", "model_error": dict(MODEL_ERROR), "placement_mm": PLACED, **({"hold_out": kept} if kept else {})},
+        "diagnose": asked,
     }
 
 

@@ -27,7 +27,8 @@ PLAIN_RIG, PLAIN_INSTRUMENTS = Rig(), Instruments()
 @dataclass(frozen=True)
 class World:
     """Everything that makes the data. `nominal` is the finger that is written down; `trial_gain`: every trial's forces and rates are
-    multiplied by 1 + a normal number of this standard deviation; `resolution` mm, what the study asks for on the pad."""
+    multiplied by 1 + a normal number of this standard deviation; `resolution` mm, what the study asks for on the pad and elsewhere, and
+    `nodes` how many it asks for, where it does."""
 
     nominal: FingerShape
     flesh: Flesh
@@ -36,6 +37,7 @@ class World:
     instruments: Instruments = PLAIN_INSTRUMENTS
     trial_gain: float = 0.0
     resolution: tuple[float, float] = (0.5, 2.0)
+    nodes: int | None = None
 
 
 Alteration = Callable[[World], World]
@@ -210,7 +212,8 @@ def _all() -> tuple[Scenario, ...]:
     double = [Scenario(f"{a}+{b}", "double", (a, b), finger, (EFFECTS[a][1], EFFECTS[b][1]), hold_out=True) for a, b, finger in _PAIRS]
     outside = [Scenario(name, "outside", (), finger, (alter,), hidden, hold_out=True) for name, hidden, finger, alter in _STRANGERS]
     gain = Scenario("load_cell_gain", "absorbed", ("force_gain",), "human", (_cell(made.gaining(1.1)),))
-    coarse = Scenario("coarse_mesh", "mesh_limited", (), "human", (_other(resolution=(2.5, 5.0)),), "the study asks for too coarse a mesh")
+    too_coarse = _other(resolution=(2.5, 5.0), nodes=1500)
+    coarse = Scenario("coarse_mesh", "mesh_limited", (), "human", (too_coarse,), "the study asks for too coarse a mesh")
     trials = Scenario("trial_gain", "none", (), "human", (_other(trial_gain=0.03),), "forces of each trial have a gain of their own", True)
     return (*plain, *single, *double, *outside, gain, coarse, trials)
 
