@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 from loop_toy import Toy
 
+from fingerjax.loop.adequacy import look
 from fingerjax.loop.diagnosis import diagnose, investigate
 from fingerjax.loop.findings import Findings
 from fingerjax.loop.material import times_form
 from fingerjax.loop.refit import forget
+from fingerjax.loop.subject import NONE
 from fingerjax.loop.writing import written
 from fingerjax.report.loop_tables import remark
 
@@ -22,9 +25,9 @@ NOISE = 0.004  # next to nothing beside what models are wrong by
 TRIED = ("camera_scale", "profile_tilt", "contact_offset", "friction")
 
 
-def toy_wrong_by(share: float, size: float) -> Toy:
-    """A camera whose scale is off by `size`, where models are said to be wrong by a share of each reading."""
-    toy = Toy(truth={"camera_scale.scale": size}, noise=NOISE)
+def toy_wrong_by(share: float, size: float, more: Mapping[str, float] = NONE) -> Toy:
+    """A camera whose scale is off by `size`, where models are said to be wrong by a share of each reading. `more`: other effects."""
+    toy = Toy(truth={"camera_scale.scale": size, **more}, noise=NOISE)
     toy.rows = dataclasses.replace(toy.rows, form=share * np.abs(toy.exact[toy.index]))
     return toy
 
@@ -72,3 +75,15 @@ def test_a_refit_that_changes_no_measurement_enough_is_no_explanation(better: Fi
     assert named.sound and named.times_form > 1.0 and named.reason == ""
     smaller = dataclasses.replace(named, times_form=0.9)
     assert not smaller.sound and not smaller.in_set and smaller.reason == "changes no measurement by more than any model is wrong by"
+
+
+def test_an_explanation_must_leave_nothing_that_looks_like_an_effect_however_small() -> None:
+    toy = toy_wrong_by(0.02, 0.03, {"contact_offset.offset": 0.06})
+    found = investigate(toy, seed=0, effects=TRIED, alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+    alone = next(one for one in found.explanations if one.families == ("contact_offset",))
+    left = alone.look.ranking["camera_scale"]
+    assert left.statistic == alone.look.ranking.largest_of_all > alone.look.critical.value and not left.matters
+    others = [family for family in found.families if family.name != "contact_offset"]
+    as_base = look(alone.best, others, alpha=0.05, seed=0)
+    assert not as_base.adequacy.resembles and alone.look.adequacy.resembles
+    assert alone.sound and not alone.in_set and alone.reason == "leaves something to be explained"

@@ -7,6 +7,9 @@ named then as a rule.
     smooth      the same on the lowest cosines of every condition, made orthogonal to J       what bends slowly, well
     max-T       the largest score of the catalogue                            what the catalogue knows, best
 
+The plain model is not rejected for an effect that is smaller than what any model is wrong by. An explanation is: an effect that takes the
+place of another leaves as a rule a little of that one, and what speaks against it need not be large.
+
 The noise is whitened by what repeats say; that they say it with few degrees of freedom, block by block, is in the laws (`critical`).
 """
 
@@ -66,12 +69,15 @@ class Look:
     adequacy: Adequacy
 
 
-def look(best: Optimum, families: Sequence[Family], *, alpha: float, seed: int) -> Look:
-    """Rank the families at an optimum and test it. Effects that are awake there are part of the model that the others must leave."""
+def look(best: Optimum, families: Sequence[Family], *, alpha: float, seed: int, explains: bool = False) -> Look:
+    """Rank the families at an optimum and test it. Effects that are awake there are part of the model that the others must leave.
+
+    **Arguments:** `explains`: the optimum claims to explain a misfit, so that what is left may look like no effect, however small.
+    """
     ranking = rank(best, families, best.sample.subject.columns(best.raw, best.phi))
     predictable, smooth = bases(best)
     law = critical(best.sample, ranking, predictable, smooth, alpha=alpha, seed=seed)
-    return Look(best, ranking, law, adequacy(best, ranking, law, predictable, smooth))
+    return Look(best, ranking, law, adequacy(best, ranking, law, predictable, smooth, explains))
 
 
 def bases(best: Optimum) -> tuple[Float[np.ndarray, "sample a"], Float[np.ndarray, "sample b"]]:
@@ -80,11 +86,16 @@ def bases(best: Optimum) -> tuple[Float[np.ndarray, "sample a"], Float[np.ndarra
 
 
 def adequacy(
-    best: Optimum, ranking: Ranking, law: Critical, predictable: Float[np.ndarray, "sample a"], smooth: Float[np.ndarray, "sample b"]
+    best: Optimum,
+    ranking: Ranking,
+    law: Critical,
+    predictable: Float[np.ndarray, "sample a"],
+    smooth: Float[np.ndarray, "sample b"],
+    explains: bool = False,
 ) -> Adequacy:
     """The three tests at an optimum, by a law that need not be its own."""
     misfit, bends = (float(np.sum((basis.T @ best.residual) ** 2)) for basis in (predictable, smooth))
-    largest = law.largest.p(ranking.largest) if ranking.blocks else 1.0
+    largest = law.largest.p(ranking.largest_of_all if explains else ranking.largest) if ranking.blocks else 1.0
     return Adequacy(law.omnibus.p(misfit), law.smooth.p(bends), largest, float(predictable.shape[1]), misfit, law.alpha)
 
 

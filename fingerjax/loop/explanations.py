@@ -3,7 +3,7 @@
 An explanation stays in the set where
 
     a  Delta = RSS_0 - RSS_k > c_k^2                  it explains more than chance would, and what the mesh leaves
-    b  the three tests of adequacy pass with it       and leaves nothing to be explained
+    b  the three tests of adequacy pass with it       and leaves nothing to be explained, however small
     c  held-out conditions are not worse by 9         it predicts what it has not seen
     d  it lies inside what is plausible
     e  somewhere it is larger than what any model is wrong by
@@ -209,7 +209,7 @@ class Inquiry:
         if not best.settled:
             nothing = dict.fromkeys(families, math.nan)
             return Explanation(families, self._blank(best), math.nan, math.nan, nothing, math.nan, needed)
-        seen = look(best, others, alpha=self.alpha, seed=self.seed)
+        seen = look(best, others, alpha=self.alpha, seed=self.seed, explains=True)
         base = self.base.adequacy
         excess = base.misfit - base.df
         eta = 1.0 - (seen.adequacy.misfit - seen.adequacy.df) / excess if excess > 0 else 0.0

@@ -130,6 +130,11 @@ class Ranking:
         """Statistic, of those that matter."""
         return max((score.statistic for score in self.testable if score.matters), default=0.0)
 
+    @property
+    def largest_of_all(self) -> float:
+        """Statistic, of those too that are smaller than what any model is wrong by."""
+        return max((score.statistic for score in self.testable), default=0.0)
+
 
 def rank(best: Optimum, families: Sequence[Family], columns: Mapping[str, Float[np.ndarray, "rows"]]) -> Ranking:
     """Every family's score at an optimum.
