@@ -110,6 +110,15 @@ def test_nothing_is_named_where_nothing_may_be() -> None:
         assert "nail compliance" not in loop_words.verdict(said)
 
 
+def test_the_page_says_how_much_of_the_misfit_looks_like_the_mesh() -> None:
+    said = record("mesh-limited")
+    (line,) = (line for line in loop_words.about_mesh(said) if "looks like it" in line)
+    assert "misfit beyond the noise is 210" in line and "would make 400" in line and "62 % of the misfit" in line
+    for missing in ("misfit", "as_corrected"):
+        mesh = {**said["model"]["mesh"], missing: None}
+        assert not any("looks like it" in line for line in loop_words.about_mesh({"model": {"mesh": mesh}}))
+
+
 def test_absorbed_effects_stand_beside_the_moduli() -> None:
     tables = [table for table in done("adequate").tables if table.chapter == "parameters"]
     assert [table.name for table in tables] == ["loop_parameters", "loop_absorbed"]

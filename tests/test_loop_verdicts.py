@@ -194,7 +194,8 @@ def test_outliers_count_less_and_are_reported() -> None:
 def test_a_coarse_mesh_is_blamed_and_no_effect() -> None:
     found = verdict(mesh=0.1, finer_has=0.5)
     assert found.verdict.kind == "mesh-limited" and not found.explanations
-    assert found.model.mesh.gate == "failed" and found.model.mesh.lambda_mesh > 1
+    mesh = found.model.mesh
+    assert mesh.gate == "failed" and mesh.lambda_mesh > 1 and mesh.alike > 0.9 and 0 < mesh.misfit < 4 * mesh.as_corrected
     assert "refine the mesh" in found.verdict.text
 
 
@@ -390,9 +391,18 @@ def test_an_effect_that_is_dear_is_left_out_where_it_promises_far_less_than_anot
         little = score.promising.promise < 0.5 * inquiry.leading
         assert inquiry._remote(score.family.name, True) is little and not inquiry._remote(score.family.name, False)
     assert {inquiry._remote(score.family.name, True) for score in promising} == {True, False}
-    # A fit that was bent far by what it lacks says little of what an effect promises.
+    # A fit that was bent far by what it lacks says little of what an effect promises: another must be enough, and where the study began
+    # the effect must have promised far less than others.
     inquiry.early = found.base.ranking
     assert not any(inquiry._remote(score.family.name, True) for score in promising)
+    lead = next(one for one in found.explanations if one.sound)
+    tests = dataclasses.replace(lead.look.adequacy, omnibus_p=1.0, smooth_p=1.0, largest_p=1.0)
+    inquiry.found = {lead.name: dataclasses.replace(lead, look=dataclasses.replace(lead.look, adequacy=tests))}
+    most = promising[0].promising.promise
+    for score in promising:
+        little = score.promising.promise < 0.5 * min(inquiry.leading, most)
+        assert inquiry._remote(score.family.name, True) is little and not inquiry._remote(score.family.name, False)
+    assert any(inquiry._remote(score.family.name, True) for score in promising)
 
 
 def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> None:

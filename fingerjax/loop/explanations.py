@@ -294,11 +294,17 @@ class Inquiry:
         return sorted(self.found.values(), key=lambda one: -_number(one.delta))
 
     def _remote(self, family: str, dear: bool) -> bool:
-        """Whether an effect promises next to nothing beside one that is enough, or is dear and promises far less than another brought."""
-        if self.early is not None:
-            return False
+        """Whether an effect promises next to nothing beside one that is enough, or is dear and promises far less than another brought.
+
+        Where the base fit was driven far away its residual tells less: there another must be enough, and the effect must promise far less
+        than others where the study began as well.
+        """
         promise, alone = self.base.ranking[family].promising.promise, any(one.in_set for one in self.found.values())
-        return (alone and promise < REMOTE * self.needed(family)) or (dear and promise < DEAR * self.leading)
+        far_less = dear and promise < DEAR * self.leading
+        if self.early is None:
+            return far_less or (alone and promise < REMOTE * self.needed(family))
+        begun = {score.family.name: score.promising.promise for score in self.early.promising}
+        return alone and far_less and begun.get(family, 0.0) < DEAR * max(begun.values(), default=0.0)
 
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
         """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.

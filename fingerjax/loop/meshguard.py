@@ -112,7 +112,12 @@ class MeshGuard:
     def guilty(self, critical: float) -> bool:
         """Whether the mesh could have made all of the misfit."""
         looks_like_it = self.blind and self.misfit <= self.reach and self.alike >= ALIKE
-        return looks_like_it or (self.hides(critical) and self.misfit <= self.reach / TWICE**2)
+        return looks_like_it or (self.hides(critical) and self.misfit <= self.as_corrected)
+
+    @property
+    def as_corrected(self) -> float:
+        """Misfit, in the noise alone, that an error of D would make."""
+        return self.reach / TWICE**2
 
     @property
     def gate(self) -> str:

@@ -70,12 +70,19 @@ class DataRecord:
 
 @dataclass(frozen=True)
 class MeshRecord:
-    """`gate`: `passed`, `failed` or `not checked`."""
+    """`gate`: `passed`, `failed` or `not checked`.
+
+    `misfit`: the squared misfit beyond the noise alone; `as_corrected`: what an error as large as the correction would make of it; `alike`:
+    the share of the misfit that looks like that error. NaN where the mesh was not checked.
+    """
 
     lambda_mesh: float
     theta_shift_sd: dict[str, float]
     rho: float
     gate: str
+    misfit: float = math.nan
+    as_corrected: float = math.nan
+    alike: float = math.nan
     nodes: int | None = None
     h: float | None = None
     finer_nodes: int | None = None

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -78,9 +79,10 @@ def _model(found: Findings) -> record.ModelRecord:
     said, mesh = found.subject.account(), found.mesh
     names = [parameter.name for parameter in found.subject.parameters]
     about = said.get("mesh", {})
-    told = {key: about.get(key) for key in ("nodes", "h", "finer_nodes")} if isinstance(about, dict) else {}
+    told: dict[str, Any] = {key: about.get(key) for key in ("nodes", "h", "finer_nodes")} if isinstance(about, dict) else {}
     shift = {name: float(size) for name, size in zip(names, mesh.shift, strict=True)}
     contact = said.get("contact", {})
+    told |= {"misfit": mesh.misfit, "as_corrected": mesh.as_corrected, "alike": mesh.alike} if mesh.checked else {}
     guarded = record.MeshRecord(mesh.excess, shift, mesh.rho, mesh.gate, **told)
     return record.ModelRecord(str(said.get("version", "")), guarded, dict(contact) if isinstance(contact, dict) else {})
 

@@ -247,6 +247,12 @@ def about_mesh(record: Record) -> list[str]:
             f"What the mesh may still add has strength {short(strength)} in squared units of noise; up to 1 it cannot be mistaken for "
             "an effect."
         )
+    misfit, made, alike = (number(mesh.get(name)) for name in ("misfit", "as_corrected", "alike"))
+    if misfit > 0 and made > 0:
+        said.append(
+            f"The misfit beyond the noise is {short(misfit)} in the same units; an error as large as that difference would make "
+            f"{short(made)}, and {share(min(max(alike, 0.0), 1.0))} of the misfit looks like it."
+        )
     gate = str(mesh.get("gate") or "")
     if gate:
         said.append(f"Mesh guard: {_GATE.get(gate, gate)}.")
