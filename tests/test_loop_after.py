@@ -13,17 +13,18 @@ import pytest
 from loop_toy import GRID, TRUE, Toy
 from scipy import stats
 
-from fingerjax.loop import heldout
+from fingerjax.loop import heldout, intervals
 from fingerjax.loop.adequacy import Look, look
 from fingerjax.loop.calibrate import Machine, false_alarms, planted
-from fingerjax.loop.diagnosis import diagnose
+from fingerjax.loop.diagnosis import diagnose, investigate
 from fingerjax.loop.meshguard import Correction, correction, drift, guard
 from fingerjax.loop.noise import estimate
-from fingerjax.loop.refit import Optimum, optimum
+from fingerjax.loop.refit import Optimum, forget, optimum
 from fingerjax.loop.sample import Sample
 from fingerjax.loop.separate import Rival, confusable, distances, next_experiments
 from fingerjax.loop.subject import NONE, LogPrior, Proposal, Rows
 from fingerjax.loop.unexplained import curves, spectrum, symmetry
+from fingerjax.loop.writing import written
 from fingerjax.study_records import Prior
 
 TRUTH = {"contact_offset.offset": 0.04}
@@ -49,6 +50,37 @@ def test_whole_conditions_are_held_out_and_the_report_is_not_the_veto() -> None:
     for mask in masks:
         for condition in toy.rows.conditions:
             assert len(set(mask[toy.rows.condition == condition].tolist())) == 1
+
+
+def test_what_may_come_with_an_effect_moves_the_ends_as_a_fit_with_it_moves_the_parameters() -> None:
+    toy = Toy()
+    there = seen(toy)
+    score = there.ranking["camera_scale"]
+    (column,) = score.family.columns
+    less, more = intervals.moved_by(there, ("camera_scale",), 2.0)
+    allowed = np.clip(score.change[column.key] + np.array([-2.0, 2.0]) / score.length, column.lower, column.upper)
+    assert np.isfinite([*less, *more]).all() and (less <= 0).all() and (more >= 0).all()
+
+    def fitted(size: float) -> np.ndarray:
+        changed, plain = (toy.evaluate(there.best.raw, phi, ()).prediction for phi in ({column.key: size}, NONE))
+        return optimum(there.best.sample.corrected(changed - plain), (), there.best.raw, NONE).raw
+
+    moved = np.stack([fitted(size) - there.best.raw for size in allowed])
+    assert less == pytest.approx(np.minimum(moved.min(axis=0), 0.0), rel=0.05, abs=1e-3)
+    assert more == pytest.approx(np.maximum(moved.max(axis=0), 0.0), rel=0.05, abs=1e-3)
+
+
+def test_intervals_count_what_may_come_with_an_effect_that_was_found() -> None:
+    toy = Toy(truth=TRUTH)
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    assert found.verdict.names[0] == "contact_offset" and written(found).after.alongside == []
+    company = {"contact_offset": ("camera_scale", "contact_offset", "of another catalogue")}
+    families = tuple(dataclasses.replace(one, comes_with=company.get(one.name, ())) for one in found.families)
+    before, after = written(found).after, written(dataclasses.replace(found, families=families)).after
+    assert after.alongside == ["camera_scale"]
+    wider = {name: (one.ci[0] - after.theta[name].ci[0], after.theta[name].ci[1] - one.ci[1]) for name, one in before.theta.items()}
+    assert min(min(ends) for ends in wider.values()) >= -1e-12 and max(max(ends) for ends in wider.values()) > 1e-4
+    assert {name: one.value for name, one in after.theta.items()} == {name: one.value for name, one in before.theta.items()}
 
 
 def test_a_condition_left_out_is_predicted_as_by_a_fit_without_it() -> None:
@@ -291,7 +323,7 @@ SECTIONS = {
     "base": {"theta", "rss", "df", "grad_rel", "lof", "error"},
     "critical": {"alpha", "maxT", "n_columns", "effective_tests", "null_fp_measured", "n_boot"},
     "verdict": {"kind", "families", "share_explained", "remainder_p", "absorbed", "text", "held_out_p"},
-    "after": {"theta", "phi", "error", "theta_change_sd", "interval_kind"},
+    "after": {"theta", "phi", "error", "theta_change_sd", "interval_kind", "alongside"},
     "unexplained": {"gp", "symmetry", "spectrum"},
 }
 CANDIDATE = {

@@ -72,6 +72,7 @@ class Effect:
     parameters: ClassVar[tuple[Size, ...]]
     grid: ClassVar[Mapping[str, tuple[float, ...]]] = {}  # numbers that mean nothing at the null, and where to try them
     grid_units: ClassVar[Mapping[str, str]] = {}
+    comes_with: ClassVar[tuple[str, ...]] = ()  # effects that are there, by an unknown amount, where this one is: intervals count them
 
     def absent(self, data: Data) -> str | None:
         """Why these measurements cannot show this effect, in words; None where they can."""

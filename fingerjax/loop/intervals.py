@@ -3,6 +3,9 @@
 The interval after is the hull of those of every explanation that is still possible, each widened by the share of the mesh:
 
     sd^2 -> sd^2 max(1, misfit / df) + mesh^2,        value +- t_nu sd in the raw number, through the link
+
+An effect may come with one that was found, as finite strain does with tissue that stiffens: too little of it to be named, and yet enough to
+move the parameters. Each end is moved out by what as much of it would do as is plausible and the residual allows.
 """
 
 from __future__ import annotations
@@ -15,10 +18,11 @@ from jaxtyping import Float
 from scipy import stats
 
 from ..parameters import Parameter
-from .adequacy import Adequacy
+from .adequacy import Adequacy, Look
 from .meshguard import MeshGuard
 from .record import EffectRecord, ParameterRecord
 from .refit import Optimum
+from .subject import Family
 
 LEVEL = 0.95
 
@@ -36,19 +40,45 @@ def deviations(best: Optimum, tests: Adequacy, mesh: MeshGuard) -> Float[np.ndar
     return np.where(best.free & (variance > 0), np.sqrt(variance), np.nan)
 
 
-def parameters(best: Optimum, tests: Adequacy, mesh: MeshGuard, nu: float) -> dict[str, ParameterRecord]:
-    """Base parameters of one fit."""
+def parameters(seen: Look, mesh: MeshGuard, nu: float, beside: Sequence[str] = ()) -> dict[str, ParameterRecord]:
+    """Base parameters of one fit. `beside`: families that may come with it, see `alongside`."""
+    best, tests = seen.best, seen.adequacy
     sd, t, limits = deviations(best, tests, mesh), quantile(nu), best.limits()
+    less, more = moved_by(seen, beside, t)
     found = {}
     for number, parameter in enumerate(best.sample.subject.parameters):
         raw, slope = float(best.raw[number]), float(parameter.slope(best.raw[number]))
-        ends = (_natural(parameter, raw - t * sd[number]), _natural(parameter, raw + t * sd[number]))
+        ends = (_natural(parameter, raw - t * sd[number] + less[number]), _natural(parameter, raw + t * sd[number] + more[number]))
         shift = slope * abs(float(mesh.raw_shift[number]))
         value, error = float(parameter.natural(raw)), slope * float(sd[number])
         found[parameter.name] = ParameterRecord(
             value, parameter.unit, error, (math.nan, math.nan), shift, ends, limits.get(parameter.name)
         )  # fmt: skip
     return found
+
+
+def alongside(families: Sequence[Family], seen: Look) -> tuple[str, ...]:
+    """What may come with effects that were found, of what was asked for and is not awake itself."""
+    awake, asked = {family.name for family in families}, {score.family.name for score in seen.ranking.scores}
+    wanted = (name for family in families for name in family.comes_with)
+    return tuple(dict.fromkeys(name for name in wanted if name in asked - awake))
+
+
+def moved_by(seen: Look, beside: Sequence[str], t: float) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p"]]:
+    """How far effects that were not fitted may move the raw parameters, down and up: each by as much as is plausible and, where it can be
+    told from the parameters, within `t` standard deviations of what the residual asks for.
+    """
+    less, more = np.zeros(len(seen.best.raw)), np.zeros(len(seen.best.raw))
+    for name in beside:
+        score = seen.ranking[name]
+        if score.shift_of_unit is None:
+            continue
+        column = score.family.columns[0]
+        wanted, half = (score.change.get(column.key, 0.0), t / score.length) if score.length > 0 else (0.0, math.inf)
+        sizes = np.clip([wanted - half, wanted + half], column.lower - column.null, column.upper - column.null)
+        moved = np.outer(sizes, score.shift_of_unit)
+        less, more = less + np.minimum(moved.min(axis=0), 0.0), more + np.maximum(moved.max(axis=0), 0.0)
+    return less, more
 
 
 def _natural(parameter: Parameter, raw: float) -> float:

@@ -257,11 +257,14 @@ class VerdictRecord:
 
 @dataclass(frozen=True)
 class AfterRecord:
+    """`alongside`: effects that may come with those that were found, which the intervals count."""
+
     theta: dict[str, ParameterRecord]
     phi: dict[str, EffectRecord]
     error: ErrorRecord
     theta_change_sd: dict[str, float]
     interval_kind: str
+    alongside: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

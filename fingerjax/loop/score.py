@@ -52,7 +52,7 @@ class Score:
     - `nodes`: of its grid, best first; none where it cannot be tested, and `reason` says why.
     - `z`: signed where the best node is one column, else its statistic. `statistic`: what is compared with the critical value.
     - `theta_shift` (p,): what the expected change does to the raw base parameters.
-    - `left`: |Q S| / |S| of the first column; `length`: |Q S| per unit of it.
+    - `left`: |Q S| / |S| of the first column; `length`: |Q S| per unit of it, and `shift_of_unit` (p,) what that does to the parameters.
     - `direction` (sample,): Q S change as a unit vector. `imitation`: the change of base parameters that an absorbed effect passes for.
     - `times_form`: how many times what any model is wrong by the expected change of the prediction is, base parameters moved as well.
     """
@@ -68,6 +68,7 @@ class Score:
     reason: str = ""
     imitation: str = ""
     times_form: float = 0.0
+    shift_of_unit: Float[np.ndarray, "p"] | None = None
 
     @property
     def matters(self) -> bool:
@@ -205,6 +206,7 @@ class _Work:
         return Score(
             family, nodes, z, best.statistic, self._shift(moved), self.left(first), length,
             direction / max(float(np.linalg.norm(direction)), 1e-300), times_form=self._times_form(direction),
+            shift_of_unit=self._shift(self.whole[first.key]),
         )  # fmt: skip
 
     def _times_form(self, direction: Float[np.ndarray, "sample"]) -> float:
@@ -222,10 +224,11 @@ class _Work:
         if felt is None:
             reason = "a plausible size of it does not move these data"
             return Score(family, (), 0.0, 0.0, np.zeros(len(self.best.raw)), 0.0, 0.0, nothing, reason)
-        shift = self._shift(self.whole[felt.key] * felt.scale)
+        unit = self._shift(self.whole[felt.key])
+        shift = unit * felt.scale
         reason = "absorbed by the base parameters: these data cannot tell it from a change of them"
         likeness = imitation(self.best.sample.subject.parameters, -shift, felt)
-        return Score(family, (), 0.0, 0.0, shift, self.left(felt), 0.0, nothing, reason, likeness)
+        return Score(family, (), 0.0, 0.0, shift, self.left(felt), 0.0, nothing, reason, likeness, shift_of_unit=unit)
 
 
 def statistics(

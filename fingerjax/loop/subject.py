@@ -84,6 +84,7 @@ class Family:
     - `second`: columns of a second term of the same effect (a second Prony term), tried before another effect is.
     - `dear`: a model with it costs many times one without, as tissue of another law does: it is refitted after the others, and given up
       early where one of them is far ahead.
+    - `comes_with`: effects that are there, by an unknown amount, where this one is: intervals count what they may do to the parameters.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Family:
     confused_with: str = ""
     second: tuple[Column, ...] = ()
     dear: bool = False
+    comes_with: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.columns:

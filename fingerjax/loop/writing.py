@@ -93,7 +93,7 @@ def _lof(tests: Adequacy) -> record.LackOfFit:
 
 def _base(found: Findings) -> record.BaseRecord:
     best, tests = found.base.best, found.base.adequacy
-    theta = intervals.parameters(best, tests, found.mesh, found.noise.dof)
+    theta = intervals.parameters(found.base, found.mesh, found.noise.dof)
     if not best.settled:
         unknown = (math.nan, math.nan)
         theta = {name: dataclasses.replace(one, sd=math.nan, ci=unknown) for name, one in theta.items()}
@@ -192,25 +192,33 @@ def _critical(found: Findings) -> record.CriticalRecord:
 def _after(found: Findings) -> record.AfterRecord:
     verdict, last, nu = found.verdict, found.last, found.noise.dof
     looks = [one.look for one in verdict.members] or [found.base]
-    theta = intervals.hull([intervals.parameters(seen.best, seen.adequacy, found.mesh, nu) for seen in looks])
+    beside = [_beside(found, one) for one in verdict.members] or [()]
+    theta = intervals.hull([intervals.parameters(seen, found.mesh, nu, each) for seen, each in zip(looks, beside, strict=True)])
     phi = intervals.effects(last.best, last.adequacy, found.mesh, nu)
     if not found.base.best.settled:
         theta = _base(found).theta
     moved = intervals.change(found.base.best, last.best, found.base.adequacy, found.mesh)
-    return record.AfterRecord(theta, phi, error(found, last.best), moved, _interval_kind(found, looks))
+    names = list(dict.fromkeys(name for each in beside for name in each))
+    return record.AfterRecord(theta, phi, error(found, last.best), moved, _interval_kind(found, looks), names)
+
+
+def _beside(found: Findings, one: Explanation) -> tuple[str, ...]:
+    """What may come with the effects of an explanation."""
+    return intervals.alongside([family for family in found.families if family.name in one.families], one.look)
 
 
 def _nearest(found: Findings) -> record.Nearest | None:
     if found.nearest is None:
         return None
     look, nu = found.nearest.look, found.noise.dof
-    best = look.best
+    best, beside = look.best, _beside(found, found.nearest)
     said = record.AfterRecord(
-        intervals.parameters(best, look.adequacy, found.mesh, nu),
+        intervals.parameters(look, found.mesh, nu, beside),
         intervals.effects(best, look.adequacy, found.mesh, nu),
         error(found, best),
         intervals.change(found.base.best, best, found.base.adequacy, found.mesh),
         CONDITIONAL,
+        list(beside),
     )
     return record.Nearest(list(found.nearest.families), found.nearest.eta, said)
 

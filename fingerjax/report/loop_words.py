@@ -201,6 +201,12 @@ def about_parameters(record: Record) -> list[str]:
         said.append("The intervals after are widened by what remains, because the model that they belong to does not explain these data.")
     elif wide:
         said.append("The intervals after are those of the one explanation, with what the mesh adds.")
+    if after.get("alongside"):
+        found = listed((record.get("nearest") or record["verdict"])["families"])
+        said.append(
+            f"They count {listed(after['alongside'])}, which may come with {found} and be too little to be seen: as much of it as is "
+            "plausible and these data allow."
+        )
     if absorbed(record):
         said.append(
             "The effects in the second table leave no trace of their own: the parameters move as it says and hide them. A clean residual "

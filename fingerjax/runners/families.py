@@ -12,7 +12,8 @@ REACH = 3.0  # plausible sizes from the null to the bounds
 def family(effect: Effect) -> Family:
     columns = tuple(_column(effect, way) for way in effect.columns())
     more = tuple(_column(effect, way) for way in effect.second())
-    return Family(effect.name, columns, effect.acts_on, effect.leaves, effect.confused_with, more, dear=effect.is_law)
+    said = (effect.acts_on, effect.leaves, effect.confused_with)
+    return Family(effect.name, columns, *said, more, dear=effect.is_law, comes_with=effect.comes_with)
 
 
 def _column(effect: Effect, way: Way) -> Column:
