@@ -30,12 +30,16 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 
 
 def page(
-    found: Mapping[str, Mapping[str, Any]], figures: Sequence[Figure], absent: Sequence[str] = (), before: str = ""
+    found: Mapping[str, Mapping[str, Any]],
+    figures: Sequence[Figure],
+    absent: Sequence[str] = (),
+    before: str = "",
+    took: float = math.nan,
 ) -> str:
     """The page in Markdown.
 
     **Arguments:** `found`: study -> its notes, its diagnosis as a record, and its own tables; `absent`: studies that were not run, whose
-    sections are taken from the page `before` where they are there.
+    sections are taken from the page `before` where they are there. `took`: seconds that one run of all took, NaN where they are of several.
     """
     here = machine()
     old, lines = sections(before), rows(before)
@@ -58,6 +62,7 @@ def page(
         studies={name: _study(name, found[name]) for name in found},
         earlier=earlier,
         minutes=minutes,
+        whole=took / 60 if math.isfinite(took) else None,
         value=lambda name: values[name].value,
         note=lambda name: values[name].note,
         cores=here["cores"],

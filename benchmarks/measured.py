@@ -192,12 +192,17 @@ def keep(name: str, quick: bool, found: Mapping[str, Any]) -> None:
     file.write_text(json.dumps(plain(dict(found)), indent=1, allow_nan=False) + "\n")
 
 
-def told(figures: Sequence[Figure]) -> str:
-    """The page, from the figures and from what the parts kept that have any; of the others what stands there."""
+def told(figures: Sequence[Figure], began: float = math.inf) -> str:
+    """The page, from the figures and from what the parts kept that have any; of the others what stands there.
+
+    **Arguments:** `began`: when the run began, s since 1970. Where it found all of them itself the page says how long it took.
+    """
     there = {figure.figure.split(":")[0] for figure in figures}
+    at_once = all(name in there and _file(name, False).stat().st_mtime >= began for name in studies())
+    took = time.time() - began if at_once else math.nan
     found = {name: json.loads(_file(name, False).read_text()) for name in studies() if name in there}
     before = PAGE.read_text(encoding="utf-8") if PAGE.is_file() else ""
-    return page(found, figures, [name for name in studies() if name not in there], before)
+    return page(found, figures, [name for name in studies() if name not in there], before, took)
 
 
 def longest_first(names: Iterable[str], before: str) -> list[str]:
@@ -209,7 +214,8 @@ def longest_first(names: Iterable[str], before: str) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     order = longest_first(studies(), PAGE.read_text(encoding="utf-8") if PAGE.is_file() else "")
-    run_parts({name: partial(part, name) for name in order}, __doc__, (PAGE, told), arguments, partial=True)
+    now = partial(told, began=time.time())
+    run_parts({name: partial(part, name) for name in order}, __doc__, (PAGE, now), arguments, partial=True)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +96,22 @@ def test_the_page_is_made_from_records_alone(tmp_path: Path, monkeypatch: pytest
     drawn = set(re.findall(r"\((pictures/.*?\.svg)\)", text))
     assert any("measured_lab_remainder" in name for name in drawn)
     assert all((tmp_path / name).read_text().lstrip().startswith("<?xml") for name in drawn)
-    assert text.count("Made by program 0123, 2026-01-02.") == 2
+    assert text.count("Made by program 0123, 2026-01-02.") == 2 and "not all run at once" in text
+
+
+@pytest.mark.parametrize(("minutes", "verdict"), [(50.0, "met"), (70.0, "NOT MET")])
+def test_the_page_says_how_long_one_run_of_all_studies_took(
+    minutes: float, verdict: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_measured_page, "PICTURES", tmp_path / "pictures")
+    monkeypatch.setattr(studies_of, "studies", lambda: {"lab": tmp_path / "lab.yaml"})
+    monkeypatch.setattr(studies_of, "PAGE", tmp_path / "page.md")
+    studies_of.keep("lab", False, {"notes": "", "record": record("unexplained"), "tables": []})
+    figures = [Figure("lab: whole study", 90.0, "s")]
+    text = studies_of.told(figures, time.time() - 60 * minutes)
+    assert f"took {minutes:.0f} min, and should\ntake 60 ({verdict})." in text
+    os.utime(studies_of._file("lab", False), (0, 0))  # of an earlier run
+    assert "not all run at once" in studies_of.told(figures, time.time() - 60 * minutes)
 
 
 def test_a_run_renews_its_own_section_and_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
