@@ -405,6 +405,16 @@ def test_an_effect_that_is_dear_is_left_out_where_it_promises_far_less_than_anot
     assert any(inquiry._remote(score.family.name, True) for score in promising)
 
 
+def test_neither_dear_effects_nor_pairs_are_tried_where_the_mesh_could_have_made_all_of_the_misfit() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.06, "spontaneous_rate.rate": 8.0})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
+    families = tuple(dataclasses.replace(family, dear=family.name == "contact_offset") for family in found.families)
+    free, blamed = (Inquiry(found.base, families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0, blamed=blamed) for blamed in (False, True))
+    with_it, without = ([one.families[0] for one in inquiry.singles()] for inquiry in (free, blamed))
+    assert "contact_offset" in with_it and set(with_it) - {"contact_offset"} == set(without)
+    assert free.pairs(list(free.found.values())) and not blamed.pairs(list(free.found.values()))
+
+
 def test_the_mesh_of_a_strong_effect_is_corrected_where_the_effect_led_it() -> None:
     found = verdict(mesh=0.03, truth={"contact_offset.offset": 0.06})
     assert found.explanations == ["contact_offset"]

@@ -82,7 +82,7 @@ def investigate(
     margins = {score.family.name: mesh.margin(score.direction) for score in base.ranking.testable}
     inquiry = Inquiry(base, families, held, alpha, seed, margins, kept, _part(tell, 0.1, 0.6), reach=reach)
     if asks_for_effects(noise, base):
-        inquiry.early = _early(best, families)
+        inquiry.early, inquiry.blamed = _early(best, families), mesh.guilty(base.critical.value)
         singles = inquiry.singles() if inquiry.early is not None or out_of_the_mesh(mesh, base) else []
         if main(singles) is None or any(one.in_set for one in singles):
             pairs = inquiry.pairs(singles)

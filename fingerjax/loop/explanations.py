@@ -137,6 +137,7 @@ class Inquiry:
     - `early`: the families ranked where the study began, where the base fit ended far from there: a fit that bends its parameters to
       imitate an effect hides that effect from a score at its end.
     - `held` (rows,): conditions with a veto. `margins`: family -> what the mesh asks on top of the critical value.
+    - `blamed`: whether the mesh could have made all of the misfit: then neither what is dear nor two effects at once are tried.
     - `kept`: stores finished searches by name. `tell(share, what)` hears of the progress. `reach`: how far the search goes.
     """
 
@@ -149,6 +150,7 @@ class Inquiry:
     kept: Keep = forget
     tell: Tell = lambda share, what: None
     early: Ranking | None = None
+    blamed: bool = False
     reach: Reach = field(default_factory=Reach)
     found: dict[str, Explanation] = field(default_factory=dict)
     paired: set[frozenset[str]] = field(default_factory=set)  # families that were tried together
@@ -287,7 +289,7 @@ class Inquiry:
         dear = {family.name for family in self.families if family.dear}
         ranked = sorted(list(dict.fromkeys(turns))[:FAMILIES], key=lambda name: name in dear)
         for number, name in enumerate(ranked):
-            if self._remote(name, name in dear):
+            if self._remote(name, name in dear) or (self.blamed and name in dear):
                 continue
             self.tell(number / len(ranked), f"refit with {name}")
             self.single(name)
@@ -312,6 +314,8 @@ class Inquiry:
         Those come first that promise the least sum of squares. A score is no more than linear, so that one is asked for which promises a
         third of what is left; where one effect is enough only those are that promise to be ahead of it.
         """
+        if self.blamed:
+            return []
         leads, below = [one for one in singles if one.significant][:LEADS], ahead_of(singles)
         asked = [(lead, node) for lead in leads for node in self._rivals(lead, PARTLY * lead.left) if lead.best.rss - node.promise < below]
         asked.sort(key=lambda pair: pair[0].best.rss - pair[1].promise)
