@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from benchmarks._record import Figure
-from fingerjax.forward import Assembled, assemble
+from fingerjax.forward import assemble
 from fingerjax.forward.model import noise_of
+from fingerjax.forward.readings import Solved
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.loop.findings import Findings
 from fingerjax.measure.afferent import rate, start
@@ -20,10 +25,10 @@ from fingerjax.study import Study
 
 def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
     """Every afferent's rate against each quantity with its best scale and threshold."""
-    layered = assemble(study)
-    epidermis = study.model.moduli()["epidermis"]
-    fingers = {"layered": {}, "homogeneous": {f"{layer}.modulus": epidermis for layer in SOFT_LAYERS}}
-    felt = {name: _felt(layered, values) for name, values in fingers.items()}
+    model, moduli = assemble(study).model, study.model.moduli()
+    fingers = {"layered": moduli, "homogeneous": dict.fromkeys(moduli, moduli["epidermis"])}
+    asked = {name: _named(each) for name, each in fingers.items()}
+    felt = {name: jax.tree.map(np.asarray, _felt(model.solved(values), values)) for name, values in asked.items()}
     rows: list[Row] = [
         {"afferent": one.name, "quantity": quantity.replace("_", " "), "finger": finger, **told(felt[finger][quantity][index], one)}
         for index, one in enumerate(study.measurements)
@@ -41,9 +46,14 @@ def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
         yield Figure(f"{study.name}: {one.name}, best correlation", best["correlation"], "1", note=best["quantity"])
 
 
-def _felt(finger: Assembled, values: dict[str, float]) -> dict[str, list[np.ndarray]]:
+def _named(moduli: Mapping[str, float]) -> dict[str, Array]:
+    return {f"{layer}.modulus": jnp.asarray(value) for layer, value in moduli.items() if layer in SOFT_LAYERS}
+
+
+@eqx.filter_jit
+def _felt(model: Solved, values: dict[str, Array]) -> dict[str, list[Array]]:
     """Quantity -> measurement by measurement what the receptor felt."""
-    return {name: [np.asarray(one) for one in finger.predict(values, name).quantity] for name in PAPER_QUANTITIES}
+    return {name: list(model.predict(values, name).quantity) for name in PAPER_QUANTITIES}
 
 
 def told(quantity: np.ndarray, one: Measurement) -> dict[str, float]:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from benchmarks._record import Figure
-from fingerjax.effects import catalogue
+from fingerjax.effects import catalogue, chosen
 from fingerjax.forward import assemble
 from fingerjax.loop.findings import Findings
 from fingerjax.measurements import Measurement
@@ -60,7 +60,8 @@ def _by_subject(one: Measurement) -> dict[str, float]:
 def _curves(study: Study) -> Iterator[tuple[str, list[tuple[float, float]]]]:
     """Effect and number -> (amount, plate over point); under the empty name the model as it is."""
     single = _of_one(study)
-    effects = tuple(effect for effect in catalogue() if effect.absent(single.measurements) is None)
+    asked = "all" if study.diagnose is None else study.diagnose.effects
+    effects = tuple(effect for effect in chosen(asked, catalogue()) if effect.absent(single.measurements) is None)
     subject = FingerSubject(assemble(single), effects)
     raw = np.array([parameter.raw() for parameter in subject.parameters])
 

@@ -57,6 +57,7 @@ FURTHER: Mapping[str, More] = {
 
 SETS, FEW_SETS = 200, 20
 COARSER, EVERY = 1.6, 3
+LEAST = 2.0  # mm: a spacing with which a point still touches a node of a thinned study's skin
 FEW = ("contact_offset", "tip_radius", "rate_saturation", "receptive_field_pooling", "relaxation", "force_lag")
 """Effects that `--quick` asks for, of those that a study's data can show."""
 
@@ -85,10 +86,10 @@ def loaded(name: str, quick: bool = False) -> Study:
 
 
 def thinned(study: Study) -> Study:
-    """The same on a coarser mesh with every third reading of each condition and few effects."""
+    """The same on a coarser mesh, no finer under probes and at receptors, with every third reading of each condition and few effects."""
     mesh = study.finger.resolution
-    sizes = {name: COARSER * size for name, size in mesh if name in ("pad_mm", "proximal_mm", "least_mm") and size is not None}
-    coarser = mesh.model_copy(update=sizes)
+    sizes = {name: COARSER * size for name, size in mesh if name in ("pad_mm", "proximal_mm") and size is not None}
+    coarser = mesh.model_copy(update=sizes | {"least_mm": min(sizes["pad_mm"], LEAST)})
     asked = study.diagnose or Diagnose()
     names = FEW if asked.effects == "all" else tuple(name for name in FEW if name in asked.effects)
     return dataclasses.replace(

@@ -31,8 +31,6 @@ FINGERS = ("fingerpad", "table1", "bar", "spheres")
 """Those of them that are tried here; of the others another file says how far they go."""
 SHARED = tuple(name for name in FINGERS if name != "table1")
 """Those whose data are not beside them."""
-BODIES = tuple(name for name in NAMES if name not in FINGERS)
-"""Slabs and cylinders: small enough to be diagnosed here, thinned."""
 
 
 @pytest.fixture(autouse=True)
@@ -129,10 +127,10 @@ def test_a_run_renews_its_own_section_and_leaves_the_others(tmp_path: Path, monk
     assert list(sections(again)) == ["mouse_relaxation", "silicone", "lab"] and "Not run" not in again
 
 
-@pytest.mark.parametrize("name", BODIES)
-def test_a_thinned_body_goes_all_the_way_to_the_page(name: str, measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_a_thinned_study_goes_all_the_way_to_the_page(name: str, measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FINGERJAX_DATA", str(measured))
-    monkeypatch.setattr(studies_of, "FEW", ("contact_offset", "rate_adaptation"))
+    monkeypatch.setattr(studies_of, "FEW", ("contact_offset", "rate_adaptation", "rate_saturation"))
     monkeypatch.setattr(studies_of, "FEW_SETS", 0)
     monkeypatch.setattr(diagnosing, "CLOSE", 0.0)  # no finer mesh
     monkeypatch.setattr(_measured_page, "PICTURES", tmp_path / "pictures")
@@ -152,11 +150,11 @@ def test_what_took_longest_starts_first() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FINGERS)
-def test_a_thinned_study_goes_all_the_way(name: str, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thinned_study_is_checked_on_a_finer_mesh(name: str, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FINGERJAX_DATA", str(measured))
     figures = {one.figure: one.value for one in studies_of.part(name, True)}
     kept = json.loads((studies_of.KEPT / "quick" / f"{name}.json").read_text())
-    assert kept["record"]["base"]["converged"] and kept["record"]["verdict"]["kind"]
+    assert kept["record"]["base"]["converged"] and kept["record"]["model"]["mesh"]["finer_nodes"]
     assert np.isfinite(figures[f"{name}: error before, fit"]) and figures[f"{name}: whole study"] > 0
 
 
