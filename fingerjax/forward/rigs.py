@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -12,7 +13,7 @@ import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
 from ..contact.footprint import Interface, interface, only
-from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, from_spec
+from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, Sphere, from_spec
 from ..contact.locate import surface_functionals
 from ..contact.pad import Pad, functionals
 from ..contact.reach import Indentation, filled, pad_for, room, windows
@@ -154,12 +155,13 @@ def _receptor(measurement: Measurement) -> Receptor:
 
 LINE_SPACING = 0.2  # mm: a wedge is a singular line, its profile beside the load wants a few nodes to the millimetre
 PROBE_SPACING, WIDE = 0.25, 2.0  # of the probe's radius; of the pad's spacing, from which radius on that spacing is fine enough
+SPHERE_SPACING = 0.1  # of the radius of a ball's contact, where the pad's own spacing has no limit
 RECEPTOR_SPACING, RECEPTOR_PATCH = 0.25, 1.4  # of its depth: strain that deep varies over as much as the depth, along the skin and down
 
 
 def foci(planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: float = 0.0) -> tuple[Focus, ...]:
     """Where the mesh must be finer than the pad's own spacing, down to the `least`: under wedges, under probes smaller than it, and around
-    receptors.
+    receptors; under balls too, where the pad's spacing may be anything (inf).
     """
     found: dict[Focus, None] = {}
     for plan in planned:
@@ -171,8 +173,18 @@ def foci(planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: f
                 found[_line_focus(plan.indenter, solid, x, z, plan.deepest)] = None
             elif isinstance(plan.indenter, (Point, FlatCylinder)) and (radius := float(plan.indenter.radius)) < WIDE * pad_spacing:
                 found[Focus("point", z, _theta(solid, x, z), PROBE_SPACING * radius, radius, growth=1.0)] = None
+            elif isinstance(plan.indenter, Sphere) and math.isinf(pad_spacing):
+                touching = _contact_radius(float(plan.indenter.radius), plan)
+                found[Focus("point", z, _theta(solid, x, z), SPHERE_SPACING * touching, touching, growth=1.0)] = None
     clipped = dict.fromkeys(dataclasses.replace(focus, size=max(focus.size, least)) for focus in found)
     return tuple(focus for focus in clipped if focus.size < pad_spacing)
+
+
+def _contact_radius(radius: float, plan: Plan) -> float:
+    """Of a ball where it is pressed deepest, a^2 = R d, mm (Hertz, 1882). Under a force nobody knows how deep that is: then as if by half
+    of the ball's radius.
+    """
+    return math.sqrt(radius * min(0.5 * radius if plan.measurement.controlled == "force" else plan.deepest, radius))
 
 
 def tips(planned: list[Plan], solid: AbstractSolid, pad_spacing: float) -> tuple[Focus, ...]:

@@ -32,7 +32,7 @@ from ..study import Study
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
 COARSEST = 1.6  # of the resolution that was asked for
 EVEN = 2.0  # largest node spacing over the pad's, of an even mesh
-EVEN_WEDGE = 2.0  # of the spacing under a wedge: there as fine as on the pad, or it would have most of an even mesh's nodes
+EVEN_WEDGE = 5.0  # of the spacing under a wedge: there hardly finer than on the pad, or it would have most of an even mesh's nodes
 ROUND = 4.0  # node spacings to a finger's largest radius, at least, of an even mesh
 RIM = 2.0 / 3.0  # of the coarsest spacing: nodes along the rim of the nail
 EVEN_RIM = 0.8  # of the pad's spacing: the same of an even mesh
