@@ -32,7 +32,7 @@ from .sample import Sample
 from .score import Ranking, rank
 from .separate import Rival, next_experiments
 from .subject import NONE, AbstractSubject, Evaluation, Family
-from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, out_of_the_mesh, with_held_out, with_nearest
+from .verdict import UNEXPLAINED, Verdict, asks_for_effects, decide, is_adequate, out_of_the_mesh, with_held_out, with_nearest
 from .writing import written
 
 ASTRAY = math.log(3.0)  # of the logarithm of a modulus: farther from where the study began a fit may imitate what is missing
@@ -81,9 +81,12 @@ def investigate(
     singles, pairs = [], []
     margins = {score.family.name: mesh.margin(score.direction) for score in base.ranking.testable}
     inquiry = Inquiry(base, families, held, alpha, seed, margins, kept, _part(tell, 0.1, 0.6), reach=reach)
+    if is_adequate(noise, base):
+        base = inquiry.bent()
     if asks_for_effects(noise, base):
         inquiry.early, inquiry.blamed = _early(best, families), mesh.guilty(base.critical.value)
-        singles = inquiry.singles() if inquiry.early is not None or out_of_the_mesh(mesh, base) else []
+        worth = inquiry.early is not None or out_of_the_mesh(mesh, base) or any(one.significant for one in inquiry.found.values())
+        singles = inquiry.singles() if worth else []
         if main(singles) is None or any(one.in_set for one in singles):
             pairs = inquiry.pairs(singles)
     verdict = decide(noise, mesh, base, singles, pairs, base.ranking.absorbed)

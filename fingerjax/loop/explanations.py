@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
 import numpy as np
@@ -44,6 +44,7 @@ SHARES = (1.0, 0.5, 0.25)  # of the change that a score expects, or of what is p
 LEADS, RIVALS = 4, 3  # singles, and what each may be paired with
 MATERIAL, AHEAD = 0.97, 13.0  # share of the excess misfit, and lead in RSS, from which on one effect is the main one
 PARTLY = 1 / 3  # of what is left of the excess misfit: a second effect that promises less will not make a model with which nothing is left
+FAINT = 0.15  # share of a column that the base parameters leave, below which a fit may have bent them so far that a score tells nothing
 SURELY, OVER = 3.0, 0.5  # a misfit, in its standard deviations by chance, and the share that is left of one that is passed over
 
 Tell = Callable[[float, str], object]
@@ -132,7 +133,7 @@ class Explanation:
 
 @dataclass(eq=False)
 class Inquiry:
-    """A base fit that was rejected, and what is asked of it.
+    """A base fit, and what is asked of it.
 
     - `early`: the families ranked where the study began, where the base fit ended far from there: a fit that bends its parameters to
       imitate an effect hides that effect from a score at its end.
@@ -275,6 +276,23 @@ class Inquiry:
             for number, (raw, start) in enumerate(begun)
         ]
         return min(fits, key=_misfit)
+
+    def bent(self) -> Look:
+        """The base, tested by refits too of what base parameters imitate nearly: a fit without the effect goes so far to do so that at its
+        end a score, which is of first order, no longer shows it.
+
+        By chance alone the fall of the sum of squares is the square of the score, and the law of the largest holds for it.
+        """
+        faint = [score for score in self.base.ranking.testable if score.left < FAINT and len(score.nodes[0].columns) == 1]
+        asked = [score.family.name for score in faint if not score.family.dear]
+        for number, name in enumerate(asked):
+            self.tell(number / len(asked), f"refit with {name}")
+            self.single(name)
+        fall = max((self.found[name].delta for name in asked if self.found[name].significant and self.found[name].matters), default=0.0)
+        tests = self.base.adequacy
+        p = min(tests.largest_p, self.base.critical.largest.p(math.sqrt(max(fall, 0.0))))
+        self.base = replace(self.base, adequacy=replace(tests, largest_p=p))
+        return self.base
 
     def singles(self) -> list[Explanation]:
         """The families that promise most, refitted, best first; where there are two rankings, by turns. Those that are dear come last.

@@ -49,6 +49,11 @@ def asks_for_effects(noise: Noise, base: Look) -> bool:
     return _cannot(noise, base) is None and base.adequacy.rejected
 
 
+def is_adequate(noise: Noise, base: Look) -> bool:
+    """Whether the base is an optimum whose tests see no misfit, in data whose noise is known."""
+    return _cannot(noise, base) is None and not base.adequacy.rejected
+
+
 def out_of_the_mesh(mesh: MeshGuard, base: Look) -> bool:
     """Whether a rejected base misses more than the mesh could have made: then effects are worth refitting, which may take minutes each."""
     worth = (score for score in base.ranking.testable if score.matters)
