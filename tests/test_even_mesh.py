@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from fingerjax.forward import meshed, model
+from fingerjax.forward.rigs import SPHERE_SPACING
 from fingerjax.forward.shape import RIM
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh.contour import beyond
 from fingerjax.runners import diagnosing
 from fingerjax.study import Study
 
-from .test_forward import PLATE, study_of
+from .test_forward import PLATE, SITE, study_of
 
 COARSE = {"pad_mm": 0.6, "proximal_mm": 2.4}
 
@@ -41,6 +42,23 @@ def test_the_rim_is_fine_where_the_bone_hangs_from_the_nail(tmp_path: Path, even
         (tmp_path / bone).mkdir()
     hung, held = (longest_at_rim(study(tmp_path / bone, bone, coarser), even) for bone in ("rigid", "held"))
     assert hung <= 2 * allowed * (1 + 1e-9) < held
+
+
+def test_an_even_mesh_is_fine_where_a_ball_touches(tmp_path: Path) -> None:
+    radius = 3.0
+    ball = PLATE | {"indenter": {"shape": "sphere", "radius_mm": radius}}
+    rows = [{"displacement_mm": 0.3, "force_N": 0.1}, {"displacement_mm": 1.2, "force_N": 0.2}]
+    model = {"ratios": "m43338", "epidermis_MPa": 0.14, "bone": "held"}
+    finger = {"preset": "monkey", "resolution": COARSE}
+    one = study_of(tmp_path, {"ball": (ball, rows)}, {"free": ["epidermis.modulus"]}, finger=finger, model=model)
+    touching = np.sqrt(radius * min(1.2, radius))
+    for size in (3.0, 5.0):
+        solid, mesh = meshed(one, size=size, even=True)
+        corners = mesh.nodes[mesh.skin[:, :3]]
+        under = solid.surface(np.array([SITE["z_mm"]]), np.array([1.5 * np.pi]))
+        near = np.linalg.norm(corners.mean(axis=1) - under, axis=1) < 0.8 * touching
+        edges = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
+        assert edges[near].max() <= 2 * size * SPHERE_SPACING * touching * (1 + 1e-9) < 0.5 * edges.max()
 
 
 def test_elements_are_as_small_as_the_nodes_allow(tmp_path: Path) -> None:
