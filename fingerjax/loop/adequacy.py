@@ -7,6 +7,9 @@ named then as a rule.
     smooth      the same on the lowest cosines of every condition, made orthogonal to J       what bends slowly, well
     max-T       the largest score of the catalogue                            what the catalogue knows, best
 
+Where none of them rejects, effects that base parameters imitate nearly are refitted, and the largest fall is held against the third
+(`explanations.Inquiry.bent`).
+
 The plain model is not rejected for an effect that is smaller than what any model is wrong by. An explanation is: an effect that takes the
 place of another leaves as a rule a little of that one, and what speaks against it need not be large.
 
