@@ -100,6 +100,14 @@ def test_a_second_term_of_the_same_effect_comes_before_another_effect() -> None:
     assert verdict(truth=truth, families=alone).explanations != ["relaxation"]
 
 
+def test_progress_never_goes_back_where_pairs_follow_singles() -> None:
+    told: list[tuple[float, str]] = []
+    truth = {"contact_offset.offset": 0.06, "rate_power_law.exponent": 0.3}
+    diagnose(Toy(truth=truth), sets=0, tell=lambda share, what: told.append((share, what)))
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares) and any(" and " in what for _, what in told[2:])
+
+
 def test_two_effects_are_both_named_and_each_is_needed() -> None:
     searched: dict[str, dict] = {}
     toy = Toy(truth={"contact_offset.offset": 0.04, "spontaneous_rate.rate": 6.0})

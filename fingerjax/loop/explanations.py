@@ -281,7 +281,7 @@ class Inquiry:
         """The base, tested by refits too of what base parameters imitate nearly: a fit without the effect goes so far to do so that at its
         end a score, which is of first order, no longer shows it.
 
-        By chance alone the fall of the sum of squares is the square of the score, and the law of the largest holds for it.
+        By chance alone the fall of the sum of squares is the square of the score, to first order, and the law of the largest holds for it.
         """
         faint = [score for score in self.base.ranking.testable if score.left < FAINT and len(score.nodes[0].columns) == 1]
         asked = [score.family.name for score in faint if not score.family.dear]
