@@ -84,8 +84,9 @@ def mesh_of(
 
     A bone that only tissue holds hangs from the nail, and forces depend on the rim where the nail lets the skin go as much as on the skin
     under the indenter: there such a finger is refined as well. Elements `size` times as large are coarser first of all under wedges, where
-    most of them are, for elsewhere they must follow the bone. An `even` mesh is hardly coarser far from the pad, finer still along that
-    rim, and all of its elements scale alike: errors of two such meshes differ by what their element sizes say.
+    most of them are, for elsewhere they must follow the bone. An `even` mesh is hardly coarser far from the pad, finer still along the rim
+    of the nail, hardly finer under wedges, and its elements scale alike: errors of two such meshes differ by what their element sizes say.
+    Under a probe they are never larger than it is, or it would touch no node.
     """
     said = study.finger
     if said.mesh is not None:
@@ -100,10 +101,16 @@ def mesh_of(
     if even:  # as round as a finger must be to be meshed at all
         round_ = solid.largest_radius / ROUND
         resolution = Resolution(min(resolution.pad, round_), min(resolution.coarsest, EVEN * round_))
-    focus = tuple(dataclasses.replace(one, size=one.size * (wedge if one.kind == "line" else size)) for one in focus)
+    focus = tuple(_coarser(one, wedge if one.kind == "line" else size) for one in focus)
     if study.model.bone_kind() == "rigid":
         focus += nail_rim(solid, size * EVEN_RIM * pad if even else RIM * resolution.coarsest)
     return build_finger(solid, resolution, focus, said.mesher, repeat)
+
+
+def _coarser(focus: Focus, size: float) -> Focus:
+    """Elements `size` times as large there, but never so large that a probe of that extent could fall between nodes."""
+    largest = max(focus.size, focus.extent) if focus.kind == "point" else np.inf
+    return dataclasses.replace(focus, size=min(focus.size * size, largest))
 
 
 def nail_rim(solid: LayeredSolid, spacing: float) -> tuple[Focus, ...]:
