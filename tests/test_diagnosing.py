@@ -131,7 +131,12 @@ def test_what_a_law_adds_is_checked_on_the_finer_mesh(tmp_path: Path, monkeypatc
     linear = subject.finer(raw, {})
     assert linear is not None
     np.testing.assert_allclose(subject.finer(raw, law), linear + 2.0)
+    answers |= {True: 99.0, False: 1.1}  # not asked again for nearly the same: what it adds has grown by a tenth
+    np.testing.assert_allclose(subject.finer(raw, law), linear + 1.1 + 1.1)
+    answers |= {True: 5.0, False: 3.0}
+    np.testing.assert_allclose(subject.finer(raw, law), linear + 5.0)
     del answers[True]  # no equilibrium was found there
+    answers[False] = 1.0
     np.testing.assert_allclose(subject.finer(raw, law), linear + 1.0)
     del answers[False]
     assert subject.finer(raw, law) is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -109,7 +110,7 @@ def mesh_of(
 
 def _coarser(focus: Focus, size: float) -> Focus:
     """Elements `size` times as large there, but never so large that a probe of that extent could fall between nodes."""
-    largest = max(focus.size, focus.extent) if focus.kind == "point" else np.inf
+    largest = math.inf if focus.kind == "line" or focus.extent is None else max(focus.size, focus.extent)
     return dataclasses.replace(focus, size=min(focus.size * size, largest))
 
 

@@ -100,8 +100,8 @@ class FingerSubject(AbstractSubject):
             return None
         fine = self._both(on, soft, raw, lawless)
         if fine is not None and self.elastic.is_strained(amounts):
-            more = self._beyond.added(raw, amounts, finely=True) or self._beyond.added(raw, amounts)
-            fine = None if more is None else fine + more[0]
+            more = self._beyond.on_the_finer(raw, amounts)
+            fine = None if more is None else fine + more
         on.model.solver.forget()
         return fine
 
