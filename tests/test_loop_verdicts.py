@@ -11,10 +11,11 @@ import pytest
 from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy, predicted
 
 from fingerjax.errors import InputError
-from fingerjax.loop import diagnosis, explanations
+from fingerjax.loop import diagnosis, inquiry
 from fingerjax.loop.diagnosis import diagnose, investigate
-from fingerjax.loop.explanations import FAMILIES as REFITTED
-from fingerjax.loop.explanations import Inquiry, ahead_of, passed_over, starts
+from fingerjax.loop.explanations import ahead_of, passed_over
+from fingerjax.loop.inquiry import FAMILIES as REFITTED
+from fingerjax.loop.inquiry import Inquiry, starts
 from fingerjax.loop.nearest import nearest
 from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
@@ -438,8 +439,8 @@ def test_the_mesh_is_not_asked_again_for_an_effect_that_leaves_most_of_the_misfi
         asked.append(frozenset(phi))
         return correction(subject, raw, phi, at)  # type: ignore[arg-type]
 
-    correction = explanations.correction
-    monkeypatch.setattr(explanations, "correction", corrected)
+    correction = inquiry.correction
+    monkeypatch.setattr(inquiry, "correction", corrected)
     for outside, truth in ((lambda: 2 * _callus(), {}), (None, {"contact_offset.offset": 0.06})):
         asked.clear()
         toy = Toy(mesh=0.03, truth=truth, outside=outside)

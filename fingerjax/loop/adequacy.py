@@ -8,7 +8,7 @@ named then as a rule.
     max-T       the largest score of the catalogue                            what the catalogue knows, best
 
 Where none of them rejects, effects that base parameters imitate nearly are refitted, and the largest fall is held against the third
-(`explanations.Inquiry.bent`).
+(`inquiry.Inquiry.bent`).
 
 The plain model is not rejected for an effect that is smaller than what any model is wrong by. An explanation is: an effect that takes the
 place of another leaves as a rule a little of that one, and what speaks against it need not be large.

@@ -21,8 +21,9 @@ from ..study_records import Reach
 from . import heldout
 from .adequacy import Look, look
 from .calibrate import SETS, FalseAlarms, Machine, false_alarms, planted
-from .explanations import Explanation, Inquiry, first, main
+from .explanations import Explanation, main
 from .findings import Findings
+from .inquiry import Inquiry, first
 from .meshguard import Correction, MeshGuard, correction, drift, guard, share_left, unchecked
 from .nearest import nearest
 from .noise import Noise, estimate, outliers

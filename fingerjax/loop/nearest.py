@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .explanations import Explanation, Inquiry
+from .explanations import Explanation
+from .inquiry import Inquiry
 
 WORTH = 0.1  # share of the misfit that another effect must remove
 
