@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from benchmarks._record import Figure, at_least, at_most
 from fingerjax.loop import heldout
+from fingerjax.loop.explanations import Explanation
 from fingerjax.loop.findings import Findings
 from fingerjax.loop.refit import Optimum
 from fingerjax.report.records import Row, Table
@@ -41,10 +42,16 @@ def more(study: Study, findings: Findings) -> Iterator[Figure | Table]:
 
 def _least(study: Study, findings: Findings) -> Iterator[Figure]:
     """Of all models that were fitted the one that is best on what was held out, and why it is not the end: no choice, an account."""
-    fitted = {one: held_out(study, findings, one.best) for one in findings.explanations if one.best.settled}
+    fitted = {one: held_out(study, findings, one.best) for one in models(findings)}
     if fitted:
         one = min(fitted, key=lambda one: fitted[one])
         yield Figure(f"{study.name}: {LEAST}", fitted[one], "1", note=f"with {one.name.replace('_', ' ')}, which {one.reason or 'holds'}")
+
+
+def models(findings: Findings) -> list[Explanation]:
+    """Every model with effects whose fit settled: by one and by two, and the nearest where that has more."""
+    every = [*findings.explanations, *([] if findings.nearest is None else [findings.nearest])]
+    return [one for one in dict.fromkeys(every) if one.best.settled]
 
 
 CURVES = (

@@ -29,6 +29,7 @@ import numpy as np
 import yaml
 
 from benchmarks import _afferents, _fingerpad, _table1
+from benchmarks._fingerpad import models
 from benchmarks._measured_page import page
 from benchmarks._parts import program, run_parts
 from benchmarks._record import Figure
@@ -148,19 +149,18 @@ def tried(findings: Findings) -> Table:
     rows: list[Row] = [
         {"added": "nothing", "size": "", "explained": 0.0, "error_fitted": base.fit, "error_held_out": base.report, "remark": ""}
     ]
-    for one in findings.explanations:
-        if one.best.settled:
-            left = error(findings, one.best)
-            rows.append(
-                {
-                    "added": one.name.replace("_", " "),
-                    "size": sizes(one),
-                    "explained": one.eta,
-                    "error_fitted": left.fit,
-                    "error_held_out": left.report,
-                    "remark": one.reason,
-                }
-            )
+    for one in models(findings):
+        left = error(findings, one.best)
+        rows.append(
+            {
+                "added": one.name.replace("_", " "),
+                "size": sizes(one),
+                "explained": one.eta,
+                "error_fitted": left.fit,
+                "error_held_out": left.report,
+                "remark": one.reason,
+            }
+        )
     note = "Explained: share of the squared misfit beyond the noise that is gone. Errors over the root mean square of the data."
     return Table("tried", "Models that were fitted", rows, note)
 
