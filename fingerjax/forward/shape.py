@@ -113,7 +113,7 @@ def _coarser(focus: Focus, size: float) -> tuple[Focus, ...]:
     coarse = dataclasses.replace(focus, size=focus.size * size)
     if focus.kind == "line" or focus.extent is None or coarse.size <= max(focus.size, focus.extent):
         return (coarse,)
-    tip = dataclasses.replace(focus, kind="tip", size=max(focus.size, focus.extent), growth=TIP_GROWTH)
+    tip = dataclasses.replace(focus, kind="tip", size=0.5 * focus.extent, growth=TIP_GROWTH)
     return (tip,) if focus.kind == "tip" else (coarse, tip)
 
 

@@ -22,7 +22,7 @@ from fingerjax.mesh.columns import INSIDE, Columns
 from fingerjax.mesh.jacobian import EVERYWHERE, POINTS, WEIGHTS, WORST, determinants
 from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
-TIP_GROWTH = 4.0  # of edges around a tip, mm per mm: few nodes more than the one that is wanted
+TIP_GROWTH = 2.0  # of edges around a tip, mm per mm: few nodes more than the one that is wanted
 PASSES = 400
 PATIENCE = 40  # rounds in which flat and folded elements are cut that may leave no fewer of them
 LEAST = 0.07  # of an element's volume, that it must have with straight edges
@@ -89,7 +89,7 @@ class Focus:
     def core(self) -> float:
         """Distance from the sites within which the mesh is as fine as it gets, mm."""
         if self.kind == "tip":
-            return 0.0
+            return 0.25 * (self.extent or 0.0)
         wide = 2.0 * self.size
         return max(wide, self.extent) if self.kind == "point" and self.extent is not None else wide
 
