@@ -9,7 +9,7 @@ from halfspace import compliance, lattice
 from fingerjax.contact.complementarity import complementary
 from fingerjax.contact.footprint import first_contact, interface
 from fingerjax.contact.indentation import press, recovered
-from fingerjax.contact.indenter import Cylinder, FlatCylinder, FlatPlate, Line, Sphere
+from fingerjax.contact.indenter import Cylinder, FlatCylinder, FlatPlate, Line, Point, Sphere
 from fingerjax.contact.nodal import at_nodes
 from fingerjax.contact.pad import node_area, pad
 from fingerjax.contact.triangle import HATS
@@ -51,6 +51,27 @@ def test_hertz(offset):
     assert float(contact.area) == pytest.approx(np.pi * a**2, rel=0.01)
     assert float(contact.peak_pressure) == pytest.approx(2 * MODULUS * a / np.pi / 20, rel=0.015)
     assert bool(contact.settled) and not bool(contact.reached_edge)
+
+
+@pytest.mark.parametrize("share", [(0.4, 0.3), (0.5, 0.02), (0.3, 0.6)])
+def test_a_probe_smaller_than_the_facets_presses_where_it_stands(share):
+    """No hat is under it: one pressure acts all over its end, whatever the facets are."""
+    probe, at = Point(0.03, 0.003), jnp.asarray(share) * EDGE
+    face = interface(PAD, probe, at)
+    assert int(jnp.sum(face.area > 0)) == 1
+    bore = float(face.area.sum())
+    assert bore == pytest.approx(np.pi * 0.03**2, rel=0.02)
+    contact = pressed(probe, at, 0.01)
+    assert bool(contact.settled) and not bool(contact.reached_edge)
+    forces, points = np.asarray(contact.nodal_forces), np.asarray(PAD.points)
+    assert float(contact.force) == pytest.approx(forces.sum(), rel=1e-12) and float(contact.force) > 0
+    assert forces @ points[:, [0, 2]] / forces.sum() == pytest.approx(np.asarray(at), abs=1e-9)
+    assert float(contact.area) == pytest.approx(bore) and float(contact.peak_pressure) == pytest.approx(float(contact.force) / bore)
+    along = jnp.array([1.0, 0.7])
+    slope = jax.jvp(lambda to: pressed(probe, to, 0.01).force, (at,), (along,))[1]
+    step = 1e-5
+    ahead, behind = (float(pressed(probe, at + way * step * along, 0.01).force) for way in (1, -1))
+    assert float(slope) == pytest.approx((ahead - behind) / (2 * step), rel=1e-4, abs=1e-7)
 
 
 def test_a_quadratic_pressure_is_recovered_from_the_hats_nearest_to_it():

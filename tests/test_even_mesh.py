@@ -61,6 +61,16 @@ def test_an_even_mesh_is_fine_where_a_ball_touches(tmp_path: Path) -> None:
         assert edges[near].max() <= 2 * size * SPHERE_SPACING * touching * (1 + 1e-9) < 0.5 * edges.max()
 
 
+def test_a_small_probe_touches_nodes_of_an_even_mesh_however_coarse(tmp_path: Path) -> None:
+    probe = PLATE | {"indenter": {"shape": "point", "radius_mm": 0.25}}
+    rows = [{"displacement_mm": 0.3, "force_N": 0.1}, {"displacement_mm": 1.2, "force_N": 0.2}]
+    finger = {"preset": "human", "resolution": {"pad_mm": 2.0, "proximal_mm": 5.0, "least_mm": 0.35}}
+    one = study_of(tmp_path, {"probe": (probe, rows)}, {"free": ["epidermis.modulus"]}, finger=finger)
+    solid, mesh = meshed(one, size=5.3, even=True)
+    under = solid.surface(np.array([SITE["z_mm"]]), np.array([1.5 * np.pi]))
+    assert np.linalg.norm(mesh.nodes - under, axis=1).min() < 0.25
+
+
 def test_elements_are_as_small_as_the_nodes_allow(tmp_path: Path) -> None:
     one = study(tmp_path, "rigid")
     whole = diagnosing._nodes(one, 1.0, True)

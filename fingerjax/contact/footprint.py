@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -45,6 +45,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .indenter import AbstractIndenter, Line
 from .line import stations
+from .locate import locate
 from .pad import Pad
 from .triangle import HATS, SAMPLES, SHAPES, shapes
 
@@ -76,9 +77,9 @@ class Interface(eqx.Module):
 def first_contact(pad: Pad, indenter: AbstractIndenter, origin: Any) -> Float[Array, ""]:
     """The y in mm at which the indenter, coming from -y, first touches the undeformed skin.
 
-    Samples on every facet, then a closer and closer look at the best eight facets. Differentiable in shape
-    and pose with the point of first contact held (exact to first order, unless that point rides on an edge
-    without a fillet).
+    Samples on every facet, then a closer and closer look at the best eight facets; and all over the end of a
+    probe, which may lie between the samples. Differentiable in shape and pose with the point of first contact
+    held (exact to first order, unless that point rides on an edge without a fillet).
     """
     if isinstance(indenter, Line):
         return jnp.min(stations(pad, indenter, origin).clearance)
@@ -89,7 +90,30 @@ def first_contact(pad: Pad, indenter: AbstractIndenter, origin: Any) -> Float[Ar
     _, best = jax.lax.top_k(-jnp.min(coarse, axis=1), min(8, len(corners)))
     start = jnp.asarray(SAMPLES)[jnp.argmin(coarse[best], axis=1)]
     at = jax.lax.stop_gradient(_closer(lambda a: gap(corners[best][:, None], a), start))
-    return jnp.min(gap(corners[best][:, None], at[:, None])[:, 0])
+    found = jnp.min(gap(corners[best][:, None], at[:, None])[:, 0])
+    beneath = _beneath(pad, indenter, origin)
+    return found if beneath is None else jnp.minimum(found, jnp.min(beneath.clearance))
+
+
+class _Beneath(NamedTuple):
+    """The skin under a probe, at m points of its end: the pad's facet there, the facet's shape functions, the clearance y_skin - h in mm,
+    and the area in mm^2 that each point stands for.
+    """
+
+    facet: Int[Array, " m"]
+    shape: Float[Array, "m 6"]
+    clearance: Float[Array, " m"]
+    weight: Float[Array, " m"]
+
+
+def _beneath(pad: Pad, indenter: AbstractIndenter, origin: Any) -> _Beneath | None:
+    """None for an indenter that has no small end."""
+    if (end := indenter.end) is None:
+        return None
+    x, z, weight = end
+    facet, shape, there = locate(pad, x + origin[0], z + origin[1])
+    clearance = jnp.sum(shape * pad.points[pad.facets[facet], 1], axis=1) - indenter.surface(x, z)
+    return _Beneath(facet, shape, jnp.where(there, clearance, FAR), jnp.where(there, weight, 0.0))
 
 
 def _gap(
@@ -118,8 +142,9 @@ def _closer(
 def interface(pad: Pad, indenter: AbstractIndenter, origin: Any = (0.0, 0.0)) -> Interface:
     """Load, overlap and area of the pressure hats under an indenter with its origin at (x0, z0), in mm.
 
-    Traceable, and differentiable in the indenter's shape and pose through the overlap and through the covered
-    area: the edge of the indenter cuts a quadrature point's own area in proportion.
+    Where elements are so large that a probe has no hat under it, one pressure acts all over its end. Traceable,
+    and differentiable in the indenter's shape and pose through the overlap and through the covered area: the
+    edge of the indenter cuts a quadrature point's own area in proportion.
     """
     if isinstance(indenter, Line):
         return _line_interface(pad, indenter, origin)
@@ -136,8 +161,31 @@ def interface(pad: Pad, indenter: AbstractIndenter, origin: Any = (0.0, 0.0)) ->
     overlap = lowest + indenter.surface(x, z) - y
     area = jnp.zeros(k).at[pad.hats].add(jnp.einsum("fq,qb->fb", weight, hats))
     against = jnp.zeros(k).at[pad.hats].add(jnp.einsum("fq,fq,qb->fb", weight, overlap, hats))
-    return _without_slivers(
+    found = _without_slivers(
         Interface(load, against, area, pad.rim, lowest, pad.hats, jnp.sum(weight, axis=1)), pad.full
+    )
+    one = _one_pressure(found, pad, indenter, origin)
+    return found if one is None else jax.tree.map(partial(jnp.where, jnp.any(found.area > 0)), found, one)
+
+
+def _one_pressure(hats: Interface, pad: Pad, indenter: AbstractIndenter, origin: Any) -> Interface | None:
+    """The interface in which a hat of the facet under a probe stands for one pressure all over its end, and no other hat for anything."""
+    beneath = _beneath(pad, indenter, origin)
+    if beneath is None:
+        return None
+    facet = beneath.facet[jnp.argmin(beneath.clearance)]
+    hat = pad.hats[facet, 0]
+    alone = jnp.zeros_like(hats.area).at[hat]
+    nodal = beneath.weight[:, None] * beneath.shape
+    area = jnp.sum(beneath.weight)
+    return Interface(
+        load=jnp.zeros_like(hats.load).at[pad.facets[beneath.facet], hat].add(nodal),
+        overlap=alone.set(jnp.sum(beneath.weight * (hats.lowest - beneath.clearance))),
+        area=alone.set(area),
+        rim=jnp.zeros_like(hats.rim),
+        lowest=hats.lowest,
+        pieces=hats.pieces.at[facet].set(hat),
+        covered=jnp.zeros_like(hats.covered).at[facet].set(area),
     )
 
 

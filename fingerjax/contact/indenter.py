@@ -61,6 +61,13 @@ class AbstractIndenter(eqx.Module):
     def feature(self) -> float | None:
         """The smallest length in mm that a mesh should resolve, or None where nothing is small."""
 
+    @property
+    def end(self) -> tuple[Height, Height, Height] | None:
+        """Points x and z (m,) in mm all over the flat end of a probe, and the area (m,) in mm^2 that each stands for; None where a shape
+        has no end that could be smaller than an element.
+        """
+        return None
+
     def covers(self, x: Place, z: Place) -> Bool[Array, "..."]:
         """Whether there is material at (x, z) that can touch."""
         return self.margin(x, z) >= 0.0
@@ -110,6 +117,10 @@ class Point(AbstractIndenter):
     def feature(self) -> float | None:
         return _smallest(self.radius, self.edge_radius)
 
+    @property
+    def end(self) -> tuple[Height, Height, Height]:
+        return _disc(_reach(self.radius, self.edge_radius))
+
 
 class FlatCylinder(AbstractIndenter):
     """A flat-ended cylinder of `radius`, its rim rounded inwards by `edge_radius`."""
@@ -129,6 +140,10 @@ class FlatCylinder(AbstractIndenter):
     @property
     def feature(self) -> float | None:
         return _smallest(self.radius, self.edge_radius)
+
+    @property
+    def end(self) -> tuple[Height, Height, Height]:
+        return _disc(_reach(self.radius, self.edge_radius))
 
 
 class FlatPlate(AbstractIndenter):
@@ -363,6 +378,10 @@ class Tilted(AbstractIndenter):
     def feature(self) -> float | None:
         return self.shape.feature
 
+    @property
+    def end(self) -> tuple[Height, Height, Height] | None:
+        return self.shape.end
+
 
 def from_spec(
     shape: str,
@@ -427,6 +446,14 @@ def _distance(x: Place, z: Place) -> Height:
     """Distance from the axis, with slope 0 rather than NaN on it."""
     square = jnp.square(jnp.asarray(x)) + jnp.square(jnp.asarray(z))
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+
+def _disc(radius: Float[Array, ""]) -> tuple[Height, Height, Height]:
+    """Points and weights of a rule on a disc, exact to degree 7: four rings of Gauss's points in the radius squared, eight to the turn."""
+    node, weight = np.polynomial.legendre.leggauss(4)
+    ring, turn = np.sqrt(0.5 * (1.0 + node)), 2.0 * math.pi * (np.arange(8) + 0.5) / 8
+    share = np.repeat(0.5 * weight, 8) / 8
+    return radius * np.outer(ring, np.cos(turn)).ravel(), radius * np.outer(ring, np.sin(turn)).ravel(), math.pi * radius**2 * share
 
 
 def _drop(distance: Height, radius: Float[Array, ""]) -> Height:

@@ -27,6 +27,7 @@ from ..geometry.solid import AbstractSolid
 from ..indenter_spec import IndenterSpec
 from ..measurements import Measurement, Receptor
 from ..mesh import Focus
+from ..mesh.refine import TIP_GROWTH
 from .wiring import Wiring
 
 COLUMNS = 32  # all columns together are filled up to a multiple of these, for code is compiled for each number of them
@@ -193,7 +194,7 @@ def tips(planned: list[Plan], solid: AbstractSolid, pad_spacing: float) -> tuple
     for plan in planned:
         if isinstance(plan.indenter, (Point, FlatCylinder)):
             radius = float(plan.indenter.radius)
-            found |= {Focus("point", z, _theta(solid, x, z), radius, radius, growth=1.0): None for x, z in plan.origins}
+            found |= {Focus("tip", z, _theta(solid, x, z), radius, radius, growth=TIP_GROWTH): None for x, z in plan.origins}
     return tuple(focus for focus in found if focus.size < pad_spacing)
 
 

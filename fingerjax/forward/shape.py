@@ -27,6 +27,7 @@ from ..mesh import Focus, Resolution, build_finger
 from ..mesh.cache import Arrays, content_key, kept
 from ..mesh.discs import disc_mesh
 from ..mesh.imported import read_mesh
+from ..mesh.refine import TIP_GROWTH
 from ..study import Study
 
 SILHOUETTE = "silhouette 1"  # part of every key: raise it when the same pictures would give another outline
@@ -84,8 +85,9 @@ def mesh_of(
 
     A bone that only tissue holds hangs from the nail, and forces depend on the rim where the nail lets the skin go as much as on the skin
     under the indenter: there such a finger is refined as well. Elements `size` times as large are coarser first of all under wedges, where
-    most of them are, for elsewhere they must follow the bone. An `even` mesh is hardly coarser far from the pad, finer still along that
-    rim, and all of its elements scale alike: errors of two such meshes differ by what their element sizes say.
+    most of them are, for elsewhere they must follow the bone. An `even` mesh is hardly coarser far from the pad, finer still along the rim
+    of the nail, hardly finer under wedges, and its elements scale alike: errors of two such meshes differ by what their element sizes say.
+    Under the tip of a probe they are never larger than it is, or it would touch no node.
     """
     said = study.finger
     if said.mesh is not None:
@@ -100,10 +102,19 @@ def mesh_of(
     if even:  # as round as a finger must be to be meshed at all
         round_ = solid.largest_radius / ROUND
         resolution = Resolution(min(resolution.pad, round_), min(resolution.coarsest, EVEN * round_))
-    focus = tuple(dataclasses.replace(one, size=one.size * (wedge if one.kind == "line" else size)) for one in focus)
+    focus = tuple(part for one in focus for part in _coarser(one, wedge if one.kind == "line" else size))
     if study.model.bone_kind() == "rigid":
         focus += nail_rim(solid, size * EVEN_RIM * pad if even else RIM * resolution.coarsest)
     return build_finger(solid, resolution, focus, said.mesher, repeat)
+
+
+def _coarser(focus: Focus, size: float) -> tuple[Focus, ...]:
+    """Elements `size` times as large there; where a probe of that extent could then fall between nodes, with smaller ones at its tip."""
+    coarse = dataclasses.replace(focus, size=focus.size * size)
+    if focus.kind == "line" or focus.extent is None or coarse.size <= max(focus.size, focus.extent):
+        return (coarse,)
+    tip = dataclasses.replace(focus, kind="tip", size=max(focus.size, focus.extent), growth=TIP_GROWTH)
+    return (tip,) if focus.kind == "tip" else (coarse, tip)
 
 
 def nail_rim(solid: LayeredSolid, spacing: float) -> tuple[Focus, ...]:

@@ -22,6 +22,7 @@ from fingerjax.mesh.columns import INSIDE, Columns
 from fingerjax.mesh.jacobian import EVERYWHERE, POINTS, WEIGHTS, WORST, determinants
 from fingerjax.mesh.topology import boundary, edges, signed_volumes
 
+TIP_GROWTH = 4.0  # of edges around a tip, mm per mm: few nodes more than the one that is wanted
 PASSES = 400
 PATIENCE = 40  # rounds in which flat and folded elements are cut that may leave no fewer of them
 LEAST = 0.07  # of an element's volume, that it must have with straight edges
@@ -34,7 +35,8 @@ class Focus:
 
     **Arguments:**
 
-    - `kind`: "point", about one site of the skin; "line", a strip of the skin through it.
+    - `kind`: "point", about one site of the skin; "tip", at the very site, for a probe to touch a node there; "line", a strip of the skin
+        through it.
     - `z`, `theta`: the site, mm and rad.
     - `size`: NODE spacing to reach there, mm; edges come to twice that at most.
     - `extent`: mm; radius of a point's fine patch (`2 size` when None), half the length of a line (when None:
@@ -52,12 +54,12 @@ class Focus:
     growth: float = 0.6
 
     def __post_init__(self) -> None:
-        if self.kind not in ("point", "line") or self.along not in ("x", "z"):
+        if self.kind not in ("point", "tip", "line") or self.along not in ("x", "z"):
             raise InputError(
                 "unknown focus",
                 place="focus",
                 seen=(self.kind, self.along),
-                remedy="kind is point or line, along is x or z",
+                remedy="kind is point, tip or line, along is x or z",
             )
         if not (self.size > 0 and self.growth > 0 and (self.extent is None or self.extent > 0)):
             raise InputError(
@@ -86,6 +88,8 @@ class Focus:
     @property
     def core(self) -> float:
         """Distance from the sites within which the mesh is as fine as it gets, mm."""
+        if self.kind == "tip":
+            return 0.0
         wide = 2.0 * self.size
         return max(wide, self.extent) if self.kind == "point" and self.extent is not None else wide
 
