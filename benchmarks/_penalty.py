@@ -19,7 +19,7 @@ import scipy.sparse.linalg as spla
 import skfem
 from skfem.helpers import ddot, eye, sym_grad, trace
 
-from fingerjax.contact.indenter import AbstractIndenter
+from fingerjax.contact.shape import AbstractIndenter
 from fingerjax.fem.element import EDGES
 from fingerjax.finger import Finger
 

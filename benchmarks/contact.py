@@ -23,8 +23,9 @@ from benchmarks._parts import run_parts
 from benchmarks._penalty import Penalty, Rested, straightened
 from benchmarks._record import Figure, at_least, at_most, listed
 from fingerjax.contact.footprint import first_contact
-from fingerjax.contact.indenter import AbstractIndenter, Bar, FlatPlate, Tilted, from_spec
+from fingerjax.contact.indenter import Bar, FlatPlate, Tilted, from_spec
 from fingerjax.contact.pad import pad
+from fingerjax.contact.shape import AbstractIndenter
 from fingerjax.fem.body import Material, material
 from fingerjax.fem.pardiso import pardiso_available
 from fingerjax.fem.solver import MultigridCG, solver_for

@@ -16,7 +16,8 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fingerjax.contact.indenter import AbstractIndenter, Bar, Step
+from fingerjax.contact.indenter import Bar, Step
+from fingerjax.contact.shape import AbstractIndenter
 from fingerjax.fem.body import material
 from fingerjax.forward.sequence import check, population, prepare
 from fingerjax.geometry.presets import preset

@@ -414,6 +414,27 @@ def test_an_effect_that_is_dear_is_left_out_where_it_promises_far_less_than_anot
     assert any(inquiry._remote(score.family.name, True) for score in promising)
 
 
+def test_pairs_with_what_is_dear_come_last_and_not_at_all_where_two_other_effects_are_enough() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.04, "spontaneous_rate.rate": 6.0})
+
+    def tried(*dear: str) -> tuple[list[set[str]], Diagnosis]:
+        toy.families = tuple(dataclasses.replace(family, dear=family.name in dear) for family in FAMILIES)
+        told: list[str] = []
+        found = diagnose(toy, sets=0, tell=lambda share, what: told.append(what))
+        return [set(what.removeprefix("refit with ").split(" and ")) for what in told if " and " in what], found
+
+    all_of_them, found = tried()
+    truth = {"contact_offset", "spontaneous_rate"}
+    assert truth in all_of_them and set(found.verdict.families) == truth
+    others = set.union(*all_of_them) - truth
+    assert others
+    spared, found = tried(*others)
+    assert spared == [truth] and set(found.verdict.families) == truth
+    last, found = tried("spontaneous_rate")
+    dear = ["spontaneous_rate" in pair for pair in last]
+    assert dear == sorted(dear) and truth in last and set(found.verdict.families) == truth
+
+
 def test_neither_dear_effects_nor_pairs_are_tried_where_the_mesh_could_have_made_all_of_the_misfit() -> None:
     toy = Toy(truth={"contact_offset.offset": 0.06, "spontaneous_rate.rate": 8.0})
     found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from fingerjax.contact.footprint import first_contact
-from fingerjax.contact.indenter import AbstractIndenter, Bar, FlatCylinder, FlatPlate, Grating, Line, Profile, Sphere, Step, Tilted
+from fingerjax.contact.indenter import Bar, FlatCylinder, FlatPlate, Grating, Line, Profile, Sphere, Step, Tilted
+from fingerjax.contact.shape import AbstractIndenter
 from fingerjax.errors import InputError
 from fingerjax.fem.body import Material, material
 from fingerjax.finger import Finger

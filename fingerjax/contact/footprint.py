@@ -43,10 +43,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .indenter import AbstractIndenter, Line
+from .indenter import Line
 from .line import stations
 from .locate import locate
 from .pad import Pad
+from .shape import AbstractIndenter
 from .triangle import HATS, SAMPLES, SHAPES, shapes
 
 SLIVER = 0.02  # a hat with less than this share of its own area under the indenter carries no pressure

@@ -25,56 +25,35 @@ Edges are circular fillets. Where a wall is steeper than 68 degrees it is a flan
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Float
 
-from fingerjax.errors import InputError
+from ..errors import InputError
+from .shape import (
+    FLANK,
+    NOTHING,
+    AbstractIndenter,
+    Axis,
+    Height,
+    Place,
+    across,
+    check_axis,
+    check_positive,
+    check_rounded,
+    disc,
+    distance,
+    drop,
+    reach,
+    smallest,
+    traced,
+)
 
-Axis = Literal["x", "z"]
-Place = Float[ArrayLike, "..."]  # a coordinate in mm, one or many
-Height = Float[Array, "..."]
-FLANK = math.radians(68.0)  # walls steeper than this are flanks
-NOTHING = -1e3  # mm: height where there is no material
 STEEPEST_TILT = math.radians(20.0)
-
-
-class AbstractIndenter(eqx.Module):
-    """A rigid shape given by its `surface` and its `margin`; the rest follows from the two."""
-
-    @abstractmethod
-    def surface(self, x: Place, z: Place) -> Height:
-        """Height in mm, at most 0, carried on past the edge at the edge's own height, for quadrature."""
-
-    @abstractmethod
-    def margin(self, x: Place, z: Place) -> Height:
-        """Distance in mm, in the x-z plane, to the nearest edge: positive where material can touch."""
-
-    @property
-    @abstractmethod
-    def feature(self) -> float | None:
-        """The smallest length in mm that a mesh should resolve, or None where nothing is small."""
-
-    @property
-    def end(self) -> tuple[Height, Height, Height] | None:
-        """Points x and z (m,) in mm all over the flat end of a probe, and the area (m,) in mm^2 that each stands for; None where a shape
-        has no end that could be smaller than an element.
-        """
-        return None
-
-    def covers(self, x: Place, z: Place) -> Bool[Array, "..."]:
-        """Whether there is material at (x, z) that can touch."""
-        return self.margin(x, z) >= 0.0
-
-    def height(self, x: Place, z: Place) -> Height:
-        """Height h in mm, at most 0; -1000 where nothing can touch."""
-        return jnp.where(self.covers(x, z), self.surface(x, z), NOTHING)
 
 
 class Line(AbstractIndenter):
@@ -84,18 +63,18 @@ class Line(AbstractIndenter):
     along: Axis = eqx.field(default="x", static=True)
 
     def __check_init__(self) -> None:
-        _positive(self, "width")
-        _axis(self.along)
+        check_positive(self, "width")
+        check_axis(self.along)
 
     def surface(self, x: Place, z: Place) -> Height:
         return jnp.zeros_like(jnp.asarray(x) + z)
 
     def margin(self, x: Place, z: Place) -> Height:
-        return 0.5 * self.width - jnp.abs(_across(self.along, x, z))
+        return 0.5 * self.width - jnp.abs(across(self.along, x, z))
 
     @property
     def feature(self) -> float | None:
-        return _smallest(self.width)
+        return smallest(self.width)
 
 
 class Point(AbstractIndenter):
@@ -105,21 +84,21 @@ class Point(AbstractIndenter):
     edge_radius: Float[Array, ""] = eqx.field(default=0.05, converter=jnp.asarray)
 
     def __check_init__(self) -> None:
-        _rounded(self, "radius", 1.0)
+        check_rounded(self, "radius", 1.0)
 
     def surface(self, x: Place, z: Place) -> Height:
-        return -_drop(_distance(x, z) - (self.radius - self.edge_radius), self.edge_radius)
+        return -drop(distance(x, z) - (self.radius - self.edge_radius), self.edge_radius)
 
     def margin(self, x: Place, z: Place) -> Height:
-        return _reach(self.radius, self.edge_radius) - _distance(x, z)
+        return reach(self.radius, self.edge_radius) - distance(x, z)
 
     @property
     def feature(self) -> float | None:
-        return _smallest(self.radius, self.edge_radius)
+        return smallest(self.radius, self.edge_radius)
 
     @property
     def end(self) -> tuple[Height, Height, Height]:
-        return _disc(_reach(self.radius, self.edge_radius))
+        return disc(reach(self.radius, self.edge_radius))
 
 
 class FlatCylinder(AbstractIndenter):
@@ -129,21 +108,21 @@ class FlatCylinder(AbstractIndenter):
     edge_radius: Float[Array, ""] = eqx.field(default=0.0, converter=jnp.asarray)
 
     def __check_init__(self) -> None:
-        _rounded(self, "radius", 1.0)
+        check_rounded(self, "radius", 1.0)
 
     def surface(self, x: Place, z: Place) -> Height:
-        return -_drop(_distance(x, z) - (self.radius - self.edge_radius), self.edge_radius)
+        return -drop(distance(x, z) - (self.radius - self.edge_radius), self.edge_radius)
 
     def margin(self, x: Place, z: Place) -> Height:
-        return _reach(self.radius, self.edge_radius) - _distance(x, z)
+        return reach(self.radius, self.edge_radius) - distance(x, z)
 
     @property
     def feature(self) -> float | None:
-        return _smallest(self.radius, self.edge_radius)
+        return smallest(self.radius, self.edge_radius)
 
     @property
     def end(self) -> tuple[Height, Height, Height]:
-        return _disc(_reach(self.radius, self.edge_radius))
+        return disc(reach(self.radius, self.edge_radius))
 
 
 class FlatPlate(AbstractIndenter):
@@ -168,19 +147,19 @@ class Bar(AbstractIndenter):
     along: Axis = eqx.field(default="x", static=True)
 
     def __check_init__(self) -> None:
-        _rounded(self, "width", 0.5)
-        _axis(self.along)
+        check_rounded(self, "width", 0.5)
+        check_axis(self.along)
 
     def surface(self, x: Place, z: Place) -> Height:
-        s = jnp.abs(_across(self.along, x, z))
-        return -_drop(s - (0.5 * self.width - self.edge_radius), self.edge_radius)
+        s = jnp.abs(across(self.along, x, z))
+        return -drop(s - (0.5 * self.width - self.edge_radius), self.edge_radius)
 
     def margin(self, x: Place, z: Place) -> Height:
-        return _reach(0.5 * self.width, self.edge_radius) - jnp.abs(_across(self.along, x, z))
+        return reach(0.5 * self.width, self.edge_radius) - jnp.abs(across(self.along, x, z))
 
     @property
     def feature(self) -> float | None:
-        return _smallest(self.width, self.edge_radius)
+        return smallest(self.width, self.edge_radius)
 
 
 class Grating(AbstractIndenter):
@@ -196,13 +175,13 @@ class Grating(AbstractIndenter):
     along: Axis = eqx.field(default="x", static=True)
 
     def __check_init__(self) -> None:
-        _rounded(self, "ridge", 0.5)
-        _positive(self, "groove")
-        _axis(self.along)
+        check_rounded(self, "ridge", 0.5)
+        check_positive(self, "groove")
+        check_axis(self.along)
 
     def _past_edge(self, x: Place, z: Place) -> Height:
         """Distance past the nearest ridge's side, negative on a ridge."""
-        s = _across(self.along, x, z)
+        s = across(self.along, x, z)
         if self.ridge.ndim == 0:
             period = self.ridge + self.groove
             return jnp.abs(s - period * jax.lax.stop_gradient(jnp.round(s / period))) - 0.5 * self.ridge
@@ -212,17 +191,17 @@ class Grating(AbstractIndenter):
         return jnp.min(jnp.abs(s[..., None] - centre) - 0.5 * self.ridge, axis=-1)  # ... points, ridges
 
     def surface(self, x: Place, z: Place) -> Height:
-        return -_drop(self._past_edge(x, z) + self.edge_radius, self.edge_radius)
+        return -drop(self._past_edge(x, z) + self.edge_radius, self.edge_radius)
 
     def margin(self, x: Place, z: Place) -> Height:
-        return _reach(0.0, self.edge_radius) - self._past_edge(x, z)
+        return reach(0.0, self.edge_radius) - self._past_edge(x, z)
 
     @property
     def feature(self) -> float | None:
         return (
             None
-            if _traced(self.ridge, self.groove)
-            else _smallest(*map(np.min, (self.ridge, self.groove)), self.edge_radius)
+            if traced(self.ridge, self.groove)
+            else smallest(*map(np.min, (self.ridge, self.groove)), self.edge_radius)
         )
 
 
@@ -239,11 +218,11 @@ class Step(AbstractIndenter):
     along: Axis = eqx.field(default="x", static=True)
 
     def __check_init__(self) -> None:
-        _positive(self, "amplitude", "wavelength")
-        _axis(self.along)
+        check_positive(self, "amplitude", "wavelength")
+        check_axis(self.along)
 
     def _phase(self, x: Place, z: Place) -> Height:
-        return 2.0 * math.pi * _across(self.along, x, z) / self.wavelength
+        return 2.0 * math.pi * across(self.along, x, z) / self.wavelength
 
     def surface(self, x: Place, z: Place) -> Height:
         phase = jnp.clip(self._phase(x, z), -0.5 * math.pi, 0.5 * math.pi)
@@ -258,12 +237,12 @@ class Step(AbstractIndenter):
             * self.wavelength
             / (2.0 * math.pi)
         )
-        outside = jnp.abs(_across(self.along, x, z)) - half
+        outside = jnp.abs(across(self.along, x, z)) - half
         return jnp.where(steepest > math.tan(FLANK), outside, -NOTHING)
 
     @property
     def feature(self) -> float | None:
-        return None if _smallest(self.wavelength) is None else 0.25 * float(self.wavelength)
+        return None if smallest(self.wavelength) is None else 0.25 * float(self.wavelength)
 
 
 class Sphere(AbstractIndenter):
@@ -272,17 +251,17 @@ class Sphere(AbstractIndenter):
     radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
 
     def __check_init__(self) -> None:
-        _positive(self, "radius")
+        check_positive(self, "radius")
 
     def surface(self, x: Place, z: Place) -> Height:
-        return -_drop(_distance(x, z), self.radius)
+        return -drop(distance(x, z), self.radius)
 
     def margin(self, x: Place, z: Place) -> Height:
-        return self.radius * math.sin(FLANK) - _distance(x, z)
+        return self.radius * math.sin(FLANK) - distance(x, z)
 
     @property
     def feature(self) -> float | None:
-        return _smallest(self.radius)
+        return smallest(self.radius)
 
 
 class Cylinder(AbstractIndenter):
@@ -292,18 +271,18 @@ class Cylinder(AbstractIndenter):
     along: Axis = eqx.field(default="x", static=True)
 
     def __check_init__(self) -> None:
-        _positive(self, "radius")
-        _axis(self.along)
+        check_positive(self, "radius")
+        check_axis(self.along)
 
     def surface(self, x: Place, z: Place) -> Height:
-        return -_drop(jnp.abs(_across(self.along, x, z)), self.radius)
+        return -drop(jnp.abs(across(self.along, x, z)), self.radius)
 
     def margin(self, x: Place, z: Place) -> Height:
-        return self.radius * math.sin(FLANK) - jnp.abs(_across(self.along, x, z))
+        return self.radius * math.sin(FLANK) - jnp.abs(across(self.along, x, z))
 
     @property
     def feature(self) -> float | None:
-        return _smallest(self.radius)
+        return smallest(self.radius)
 
 
 class Profile(AbstractIndenter):
@@ -318,22 +297,22 @@ class Profile(AbstractIndenter):
     along: Axis = eqx.field(default="x", static=True)
 
     def __check_init__(self) -> None:
-        _axis(self.along)
+        check_axis(self.along)
         if self.position.ndim != 1 or self.position.shape != self.elevation.shape or self.position.size < 2:
             raise InputError(
                 "a profile needs two or more positions and as many heights",
                 place="position, elevation",
                 seen=(self.position.shape, self.elevation.shape),
             )
-        if not _traced(self.position) and np.any(np.diff(np.asarray(self.position)) <= 0):
+        if not traced(self.position) and np.any(np.diff(np.asarray(self.position)) <= 0):
             raise InputError("positions of a profile must increase", place="position", remedy="sort the rows")
 
     def surface(self, x: Place, z: Place) -> Height:
-        s = _across(self.along, x, z)
+        s = across(self.along, x, z)
         return jnp.interp(s, self.position, self.elevation) - jnp.max(self.elevation)
 
     def margin(self, x: Place, z: Place) -> Height:
-        s = _across(self.along, x, z)
+        s = across(self.along, x, z)
         left, right = self.position[:-1], self.position[1:]
         steep = jnp.abs(jnp.diff(self.elevation)) > math.tan(FLANK) * (right - left)
         past = jnp.maximum(left - s[..., None], s[..., None] - right)  # ... points, pieces
@@ -342,7 +321,7 @@ class Profile(AbstractIndenter):
 
     @property
     def feature(self) -> float | None:
-        return None if _traced(self.position) else float(np.min(np.diff(np.asarray(self.position))))
+        return None if traced(self.position) else float(np.min(np.diff(np.asarray(self.position))))
 
 
 class Tilted(AbstractIndenter):
@@ -362,7 +341,7 @@ class Tilted(AbstractIndenter):
     def __check_init__(self) -> None:
         for name in ("pitch", "roll"):
             angle = getattr(self, name)
-            if not _traced(angle) and not abs(float(angle)) <= STEEPEST_TILT:
+            if not traced(angle) and not abs(float(angle)) <= STEEPEST_TILT:
                 remedy = f"give -{STEEPEST_TILT:.3g} to {STEEPEST_TILT:.3g} rad"
                 raise InputError("an indenter cannot lean so far", place=name, seen=float(angle), remedy=remedy)
         if isinstance(self.shape, Line):
@@ -434,70 +413,3 @@ SHAPES: dict[str, tuple[Callable[..., AbstractIndenter], tuple[str, ...], tuple[
     "profile": (Profile, ("position", "height"), ()),
 }
 SWEPT = ("line", "bar", "step", "cylinder", "grating", "profile")
-
-
-def _across(along: Axis, x: Place, z: Place) -> Height:
-    """The coordinate on which a shape swept along `along` changes."""
-    x, z = jnp.broadcast_arrays(jnp.asarray(x), jnp.asarray(z))
-    return z if along == "x" else x
-
-
-def _distance(x: Place, z: Place) -> Height:
-    """Distance from the axis, with slope 0 rather than NaN on it."""
-    square = jnp.square(jnp.asarray(x)) + jnp.square(jnp.asarray(z))
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-
-
-def _disc(radius: Float[Array, ""]) -> tuple[Height, Height, Height]:
-    """Points and weights of a rule on a disc, exact to degree 7: four rings of Gauss's points in the radius squared, eight to the turn."""
-    node, weight = np.polynomial.legendre.leggauss(4)
-    ring, turn = np.sqrt(0.5 * (1.0 + node)), 2.0 * math.pi * (np.arange(8) + 0.5) / 8
-    share = np.repeat(0.5 * weight, 8) / 8
-    return radius * np.outer(ring, np.cos(turn)).ravel(), radius * np.outer(ring, np.sin(turn)).ravel(), math.pi * radius**2 * share
-
-
-def _drop(distance: Height, radius: Float[Array, ""]) -> Height:
-    """Depth of a circular fillet `distance` past its start, constant from the flank on; 0 if sharp."""
-    d = jnp.clip(distance, 0.0, radius * math.sin(FLANK))
-    root = jnp.sqrt(jnp.where(radius > 0, radius * radius - d * d, 1.0))
-    return jnp.where(radius > 0, d * d / jnp.where(radius > 0, radius + root, 1.0), 0.0)
-
-
-def _reach(half_width: Float[ArrayLike, ""], edge_radius: Float[Array, ""]) -> Float[Array, ""]:
-    """Distance from the middle at which the fillet turns into a flank."""
-    return jnp.asarray(half_width) - edge_radius * (1.0 - math.sin(FLANK))
-
-
-def _traced(*values: object) -> bool:
-    return any(isinstance(value, jax.core.Tracer) for value in values)
-
-
-def _smallest(*lengths: Any) -> float | None:
-    return None if _traced(*lengths) else min(float(length) for length in lengths if float(length) > 0)
-
-
-def _positive(shape: AbstractIndenter, *names: str) -> None:
-    for name in names:
-        value = getattr(shape, name)
-        if not _traced(value) and not np.min(np.asarray(value)) > 0:
-            remedy = "give a length above 0 mm"
-            raise InputError(f"{name} of an indenter must be positive", place=name, seen=float(np.min(value)), remedy=remedy)
-
-
-def _rounded(shape: AbstractIndenter, size: str, share: float) -> None:
-    """Check a size and the edge radius that must fit into `share` of it."""
-    _positive(shape, size)
-    width, edge = (getattr(shape, name) for name in (size, "edge_radius"))
-    if _traced(width, edge) or np.ndim(edge):
-        return
-    room = share * float(np.min(np.asarray(width)))
-    if not 0.0 <= float(edge) <= room * (1.0 + 1e-12):
-        limit = f"give 0 to {room:g} mm"
-        raise InputError(
-            "edge_radius does not fit the indenter", place="edge_radius", seen=float(edge), remedy=limit
-        )
-
-
-def _axis(along: str) -> None:
-    if along not in ("x", "z"):
-        raise InputError("an indenter runs along x or z", place="along", seen=along, remedy="write x or z")

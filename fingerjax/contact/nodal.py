@@ -16,8 +16,9 @@ from jaxtyping import Array, Float
 
 from ..errors import InputError
 from .footprint import Interface, first_contact
-from .indenter import AbstractIndenter, Line
+from .indenter import Line
 from .pad import Pad, node_area
+from .shape import AbstractIndenter
 from .triangle import HATS
 
 ENDS = ((0, 1), (1, 2), (2, 0))  # vertices beside midsides 3, 4 and 5

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from ..errors import InputError
 from .footprint import FAR, first_contact
-from .indenter import AbstractIndenter
 from .pad import Pad, SkinMesh, border, of_facets, pad, renumbered
+from .shape import AbstractIndenter
 from .triangle import SAMPLED
 
 NOTHING_THERE = ("weight", "full", "rim")  # what is 0 of a facet that only fills up a window

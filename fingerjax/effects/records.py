@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..contact.indenter import AbstractIndenter
+from ..contact.shape import AbstractIndenter
 from ..measure.receptor import Receptor
 
 

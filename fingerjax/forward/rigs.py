@@ -13,10 +13,11 @@ import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 
 from ..contact.footprint import Interface, interface, only
-from ..contact.indenter import AbstractIndenter, FlatCylinder, Line, Point, Sphere, from_spec
+from ..contact.indenter import FlatCylinder, Line, Point, Sphere, from_spec
 from ..contact.locate import surface_functionals
 from ..contact.pad import Pad, functionals
 from ..contact.reach import Indentation, filled, pad_for, room, windows
+from ..contact.shape import AbstractIndenter
 from ..effects.added import Effects
 from ..effects.records import Context, Placed
 from ..errors import InputError

@@ -28,10 +28,10 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..contact.footprint import Interface, interface
 from ..contact.indentation import Contact, press
-from ..contact.indenter import AbstractIndenter
 from ..contact.nodal import at_nodes
 from ..contact.pad import Pad, functionals, node_area
 from ..contact.reach import Indentation, pad_for, windows
+from ..contact.shape import AbstractIndenter
 from ..errors import InputError
 from ..fem.body import Body, Material, body
 from ..fem.columns import Columns, columns_from_matrix

@@ -106,9 +106,9 @@ class Explanation:
         return self.best.rss + self.best.jacobian.shape[1] * math.log(max(settings, 2))
 
 
-def ahead_of(singles: list[Explanation]) -> float:
-    """The sum of squares below which two effects are far ahead of each one that is enough alone; inf where none is."""
-    return min((one.best.rss for one in singles if one.in_set), default=math.inf) - AHEAD
+def ahead_of(others: list[Explanation]) -> float:
+    """The sum of squares below which an explanation is far ahead of each of the others that is enough; inf where none is."""
+    return min((one.best.rss for one in others if one.in_set), default=math.inf) - AHEAD
 
 
 def passed_over(base: Optimum, best: Optimum, chance: float) -> tuple[str, ...]:

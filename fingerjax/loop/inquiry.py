@@ -239,8 +239,9 @@ class Inquiry:
     def pairs(self, singles: list[Explanation]) -> list[Explanation]:
         """Two effects at once: the leading singles, each with what its own residual asks for, where that explains more than chance.
 
-        Those come first that promise the least sum of squares. A score is no more than linear, so that one is asked for which promises a
-        third of what is left; where one effect is enough only those are that promise to be ahead of it.
+        Those are tried that promise the least sum of squares. A score is no more than linear, so that one is asked for which promises a
+        third of what is left; where one effect is enough only those are that promise to be ahead of it. Pairs with what is dear to refit
+        come last, and there two that are enough count as one effect that is.
         """
         if self.blamed:
             return []
@@ -250,15 +251,19 @@ class Inquiry:
         pairs: dict[frozenset[str], tuple[Explanation, Node]] = {}
         for lead, node in asked:
             pairs.setdefault(frozenset((lead.families[0], node.columns[0].family)), (lead, node))
-        found = []
-        for number, (lead, node) in enumerate(list(pairs.values())[: self.reach.pairs]):
-            names = (lead.families[0], node.columns[0].family)
-            self.tell(number / self.reach.pairs, f"refit with {' and '.join(names)}")
-            self.paired.add(frozenset(names))
+        dear = {family.name for family in self.families if family.dear}
+        first = list(pairs.items())[: self.reach.pairs]
+        found: list[Explanation] = []
+        for number, (names, (lead, node)) in enumerate(sorted(first, key=lambda one: bool(one[0] & dear))):
+            if names & dear and lead.best.rss - node.promise >= ahead_of(found):
+                continue
+            family = node.columns[0].family
+            self.tell(number / self.reach.pairs, f"refit with {lead.families[0]} and {family}")
+            self.paired.add(names)
             fit = self._added(lead, node)
-            if fit.settled and lead.best.rss - fit.rss > self.needed(names[1]):
-                without = {names[1]: lead.best.rss, names[0]: self._least(self.single(names[1]))}
-                found.append(self._explained(names, fit, without, lead.best))
+            if fit.settled and lead.best.rss - fit.rss > self.needed(family):
+                without = {family: lead.best.rss, lead.families[0]: self._least(self.single(family))}
+                found.append(self._explained((lead.families[0], family), fit, without, lead.best))
         return sorted(found, key=lambda one: -gain(one.delta))
 
     def enlarged(self, lead: Explanation, worth: float) -> Iterator[Explanation]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._results import RESULTS
-from ..contact.indenter import AbstractIndenter
+from ..contact.shape import AbstractIndenter
 from ..errors import InputError
 from ..fem.body import Material, material
 from ..finger import Finger
