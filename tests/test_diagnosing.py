@@ -95,7 +95,7 @@ def test_an_effect_of_ones_own_is_ranked_refitted_and_reported(tmp_path: Path) -
     (folder / "glove.py").write_text(OWN)
     study = laboratory(tmp_path, "damp_glove", 0.02, own=folder)
     told: list[float] = []
-    asked = ("damp_glove", "camera_scale")
+    asked = ("damp_glove", "camera_scale", "tip_radius")
     record = diagnose_study(study, effects=asked, folder=folder, sets=20, tell=lambda share, what: told.append(share)).record()
     assert _of(record, "damp_glove")["refit"]["phi"]["damp_glove.more"] == pytest.approx(0.02, abs=0.004)
     assert record["set"] == ["damp_glove"] and record["verdict"]["families"] == ["damp_glove"]

@@ -73,7 +73,7 @@ def investigate(
     reach: Reach = REACH,
 ) -> Findings:  # fmt: skip
     """The same with all of its inner results."""
-    started, tell = time.perf_counter(), _onward(tell)
+    started, tell = time.perf_counter(), onward(tell)
     families, roles = _asked(subject, effects), heldout.roles(subject.rows)
     chosen, held = (heldout.in_role(subject.rows, roles, role) for role in ("fit", "veto"))
     tell(0.0, "noise and base fit")
@@ -212,7 +212,7 @@ def _checked(
     return false_alarms(machine, seed=seed, sets=sets, tell=tell), planted(machine, seed=seed)
 
 
-def _onward(tell: Tell) -> Tell:
+def onward(tell: Tell) -> Tell:
     """Told shares never fall: refits of one effect and of two are counted anew each, for nobody knows before how many there will be."""
     highest = 0.0
 

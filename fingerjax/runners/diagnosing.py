@@ -14,7 +14,7 @@ from ..forward import assemble, meshed
 from ..forward.shape import Tell, unheard
 from ..loop.apart import Apart
 from ..loop.calibrate import SETS
-from ..loop.diagnosis import diagnose
+from ..loop.diagnosis import diagnose, onward
 from ..loop.record import Diagnosis
 from ..loop.refit import forget
 from ..loop.subject import AbstractSubject
@@ -52,8 +52,9 @@ def diagnose_study(
     if not study.measurements or not study.fit.free:
         remedy = "write measurements: and fit: {free: [...]}"
         raise InputError("a study without a fit leaves no residual to trace", file=study.file, place=study.name, remedy=remedy)
+    tell = onward(tell)
     subject = subject_of(study, effects, folder, solver=solver, tell=lambda share, what: tell(0.2 * share, what))
-    subject.tell = lambda share, what: tell(0.3 + 0.2 * share, what)
+    subject.tell = lambda share, what: tell(0.24 + 0.04 * share, what)
     reach = (study.diagnose or Diagnose()).reach
     return diagnose(
         parted(subject, study), seed=seed, sets=sets, tell=lambda share, what: tell(0.2 + 0.8 * share, what), kept=kept, reach=reach
