@@ -421,7 +421,8 @@ def test_pairs_with_what_is_dear_come_last_and_not_at_all_where_two_other_effect
         toy.families = tuple(dataclasses.replace(family, dear=family.name in dear) for family in FAMILIES)
         told: list[str] = []
         found = diagnose(toy, sets=0, tell=lambda share, what: told.append(what))
-        return [set(what.removeprefix("refit with ").split(" and ")) for what in told if " and " in what], found
+        refits = [what.removeprefix("refit with ") for what in told if what.startswith("refit with ")]
+        return [set(names.split(" and ")) for names in refits if " and " in names], found
 
     all_of_them, found = tried()
     truth = {"contact_offset", "spontaneous_rate"}
@@ -429,7 +430,7 @@ def test_pairs_with_what_is_dear_come_last_and_not_at_all_where_two_other_effect
     others = set.union(*all_of_them) - truth
     assert others
     spared, found = tried(*others)
-    assert spared == [truth] and set(found.verdict.families) == truth
+    assert truth in spared and not any(pair & others for pair in spared) and set(found.verdict.families) == truth
     last, found = tried("spontaneous_rate")
     dear = ["spontaneous_rate" in pair for pair in last]
     assert dear == sorted(dear) and truth in last and set(found.verdict.families) == truth
