@@ -156,6 +156,16 @@ def test_columns_are_there_for_every_effect_and_small_ones_follow_them(subject: 
         assert np.abs((moved - base) / size - columns[key]).max() <= 0.05 * scale, key
 
 
+def test_a_plate_may_lean_where_a_probe_does_not(ready: Assembled) -> None:
+    tilt = next(effect for effect in catalogue() if effect.name == "indenter_tilt")
+    names, ends = ready.model.instruments.names, np.cumsum([0, *ready.model.instruments.lengths])
+    upright = read(ready)
+    for number, leaning in (("plate_pitch", ["plate", "held"]), ("probe_pitch", ["ramp"])):
+        moved = np.abs(read(ready, (tilt, tilt.null() | {number: 0.1})) - upright) > 1e-6
+        changed = [name for name, start, end in zip(names, ends, ends[1:], strict=False) if moved[start:end].any()]
+        assert changed == leaning
+
+
 @pytest.mark.slow
 def test_softer_supports_and_stiffer_films_do_what_their_names_say(ready: Assembled) -> None:
     by_name = {effect.name: effect for effect in catalogue()}

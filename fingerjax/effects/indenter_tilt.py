@@ -13,16 +13,20 @@ from .records import Placed
 
 
 class IndenterTilt(Effect):
-    """A symmetric finger feels no difference to first order: the column is a secant."""
+    """Plates and thinner probes are mounted each on their own: one may lean where the other does not.
+
+    A symmetric finger feels no difference to first order: the columns are secants.
+    """
 
     name = "indenter_tilt"
     acts_on = "contact"
     leaves = "Flat indenters touch earlier and on less skin: too soft at first, then as they should be."
-    confused_with = "contact_offset, indenter_shift."
-    parameters = (Size("pitch", "rad", 0.05, -0.15, 0.15, step=0.05),)
+    confused_with = "contact_offset, indenter_shift, finite_strain, anisotropy."
+    parameters = (Size("plate_pitch", "rad", 0.05, -0.15, 0.15, step=0.05), Size("probe_pitch", "rad", 0.05, -0.15, 0.15, step=0.05))
     absent = staticmethod(flat_indenter)
 
     def place(self, placed: Placed, amount: Amount) -> Placed:
-        if not isinstance(placed.indenter, (FlatPlate, FlatCylinder, Point)):
+        pitch = float(amount["plate_pitch" if isinstance(placed.indenter, FlatPlate) else "probe_pitch"])
+        if not pitch or not isinstance(placed.indenter, (FlatPlate, FlatCylinder, Point)):
             return placed
-        return dataclasses.replace(placed, indenter=Tilted(placed.indenter, pitch=jnp.asarray(float(amount["pitch"]))))
+        return dataclasses.replace(placed, indenter=Tilted(placed.indenter, pitch=jnp.asarray(pitch)))
