@@ -87,3 +87,15 @@ def test_an_explanation_must_leave_nothing_that_looks_like_an_effect_however_sma
     as_base = look(alone.best, others, alpha=0.05, seed=0)
     assert not as_base.adequacy.resembles and alone.look.adequacy.resembles
     assert alone.sound and not alone.in_set and alone.reason == "leaves something to be explained"
+
+
+def test_an_explanation_leaves_no_significant_score_though_a_model_is_rejected_for_rarer_ones_only() -> None:
+    toy = toy_wrong_by(0.02, 0.024, {"contact_offset.offset": 0.06})
+    found = investigate(toy, seed=0, effects=TRIED, alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+    first = found.explanations[0]
+    left = first.look.adequacy
+    assert first.families == ("contact_offset",) and 0.01 < left.largest_p < 0.05
+    assert first.look.ranking["camera_scale"].statistic > first.look.critical.value and not left.bends
+    assert left.rejected and first.sound and not first.in_set and first.reason == "leaves something to be explained"
+    assert found.verdict.kind == "mainly" and found.verdict.members == (first,)
+    assert not dataclasses.replace(found.base.adequacy, omnibus_p=1.0, smooth_p=1.0, largest_p=left.largest_p).rejected

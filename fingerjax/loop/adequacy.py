@@ -11,7 +11,7 @@ Where none of them rejects, effects that base parameters imitate nearly are refi
 (`inquiry.Inquiry.bent`).
 
 The plain model is not rejected for an effect that is smaller than what any model is wrong by. An explanation is: an effect that takes the
-place of another leaves as a rule a little of that one, and what speaks against it need not be large.
+place of another leaves as a rule a little of that one, and what speaks against it need be neither large nor rarer than alpha.
 
 The noise is whitened by what repeats say; that they say it with few degrees of freedom, block by block, is in the laws (`critical`).
 """
@@ -34,11 +34,14 @@ from .subject import Family
 MODES = 30
 # Shares of alpha: what leads to a name must be rarer by chance than what says that something is missed.
 OMNIBUS, SMOOTH, LARGEST = 0.4, 0.4, 0.2
+AGAINST = 1.0  # of alpha, what leads away from a name: an effect that is named leaves no other one a significant score
 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """p values; `df` and `misfit`: degrees of freedom and sum of squares of what could have been predicted."""
+    """p values; `df` and `misfit`: degrees of freedom and sum of squares of what could have been predicted; `share`: of alpha, for the
+    largest score.
+    """
 
     omnibus_p: float
     smooth_p: float
@@ -46,6 +49,7 @@ class Adequacy:
     df: float
     misfit: float
     alpha: float = 0.05
+    share: float = LARGEST
 
     @property
     def rejected(self) -> bool:
@@ -59,7 +63,7 @@ class Adequacy:
     @property
     def resembles(self) -> bool:
         """Whether what is left looks like an effect of the catalogue more than chance would."""
-        return self.largest_p < LARGEST * self.alpha
+        return self.largest_p < self.share * self.alpha
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +103,8 @@ def adequacy(
     """The three tests at an optimum, by a law that need not be its own."""
     misfit, bends = (float(np.sum((basis.T @ best.residual) ** 2)) for basis in (predictable, smooth))
     largest = law.largest.p(ranking.largest_of_all if explains else ranking.largest) if ranking.blocks else 1.0
-    return Adequacy(law.omnibus.p(misfit), law.smooth.p(bends), largest, float(predictable.shape[1]), misfit, law.alpha)
+    share = AGAINST if explains else LARGEST
+    return Adequacy(law.omnibus.p(misfit), law.smooth.p(bends), largest, float(predictable.shape[1]), misfit, law.alpha, share)
 
 
 def modes(sample: Sample, count: int = MODES) -> Float[np.ndarray, "sample modes"]:
