@@ -22,7 +22,7 @@ from fingerjax.forward.strained import Strained
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.loop.diagnosis import diagnose
 from fingerjax.runners import diagnosing
-from fingerjax.runners.diagnosing import diagnose_study, parted, subject_of
+from fingerjax.runners.diagnosing import diagnose_study, parted, refinement, subject_of
 from fingerjax.runners.subject import FingerSubject
 from fingerjax.study import Diagnose, Study
 
@@ -229,6 +229,18 @@ def test_a_study_says_how_many_nodes_its_working_mesh_may_have(tmp_path: Path, m
     own = len(subject_of(study, TRIED).base.mesh.nodes)
     fewer = subject_of(dataclasses.replace(study, diagnose=Diagnose(nodes=int(0.7 * own))), TRIED)
     assert len(fewer.base.mesh.nodes) < 0.85 * own and fewer.size > 1.0
+
+
+def test_how_much_finer_a_mesh_is_is_told_by_its_nodes_where_they_say_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert refinement(0.35, 1000, 10_000) == 0.35  # nodes say 0.22
+    assert refinement(0.35, 2490, 4568) == pytest.approx(0.667, abs=1e-3)
+    monkeypatch.setattr(diagnosing, "CLOSE", 0.8)
+    monkeypatch.setattr(diagnosing, "FINER", 0.7)
+    monkeypatch.setattr(diagnosing, "GROWTH", 3.0)  # nodes say more than 0.7
+    subject = subject_of(laboratory(tmp_path, "contact_offset", 0.0), TRIED)
+    mesh = subject.account()["mesh"]
+    assert isinstance(mesh, dict) and mesh["finer_nodes"] > mesh["nodes"]
+    assert subject.refinement == pytest.approx((mesh["nodes"] / mesh["finer_nodes"]) ** (1 / 3)) and subject.refinement > 0.75
 
 
 def test_units_of_readings_are_those_of_the_study(tmp_path: Path) -> None:

@@ -114,6 +114,9 @@ def test_the_page_says_how_much_of_the_misfit_looks_like_the_mesh() -> None:
     said = record("mesh-limited")
     (line,) = (line for line in loop_words.about_mesh(said) if "looks like it" in line)
     assert "misfit beyond the noise is 210" in line and "would make 400" in line and "62 % of the misfit" in line
+    assert "first order" not in line
+    hardly = {**said["model"]["mesh"], "as_first_order": 1600.0}
+    assert any("would make 400 (1600 if the mesh" in line for line in loop_words.about_mesh({"model": {"mesh": hardly}}))
     for missing in ("misfit", "as_corrected"):
         mesh = {**said["model"]["mesh"], missing: None}
         assert not any("looks like it" in line for line in loop_words.about_mesh({"model": {"mesh": mesh}}))

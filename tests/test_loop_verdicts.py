@@ -16,6 +16,7 @@ from fingerjax.loop.diagnosis import diagnose, investigate
 from fingerjax.loop.explanations import ahead_of, passed_over
 from fingerjax.loop.inquiry import FAMILIES as REFITTED
 from fingerjax.loop.inquiry import Inquiry, starts
+from fingerjax.loop.meshguard import RHO, MeshGuard, share_left
 from fingerjax.loop.nearest import nearest
 from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
@@ -223,6 +224,21 @@ def test_a_misfit_unlike_the_error_of_the_mesh_is_not_the_mesh_s() -> None:
     coarser = dataclasses.replace(far, reach=4.1 * missing.mesh.misfit)
     assert coarser.guilty(3.0) and not coarser.guilty(6.0) and not dataclasses.replace(coarser, excess=5.0).guilty(3.0)
     assert decide(missing.noise, coarser, missing.base, [], [], ()).kind == "mesh-limited"
+
+
+def test_a_finer_mesh_that_is_hardly_finer_shows_less_of_an_error_than_it_leaves() -> None:
+    size, error, p = (1.0, 2.0 / 3.0), 3.0, 1.0  # D is f_(s h) - f_h, where errors are error * size^p
+    corrected, left = error * (size[0] ** p - size[1] ** p), error * size[1] ** p
+    mesh = MeshGuard(np.zeros(1), np.zeros((1, 1)), 30.0, np.zeros(1), np.zeros(1), reach=4 * corrected**2, rho=share_left(2.0 / 3.0))
+    assert mesh.as_corrected == pytest.approx(corrected**2) and mesh.as_first_order == pytest.approx(left**2)
+    half = dataclasses.replace(mesh, rho=share_left(0.5))
+    assert half.as_first_order == pytest.approx(half.as_corrected) and share_left(0.5) == pytest.approx(RHO)
+    third = dataclasses.replace(mesh, rho=share_left(0.35))
+    assert third.as_first_order == third.as_corrected
+    # A misfit between the two, of another shape, is the mesh's own only where the finer one is hardly finer.
+    between = 0.5 * (mesh.as_corrected + mesh.as_first_order)
+    blamed = [dataclasses.replace(one, misfit=between, alike=0.1).guilty(3.0) for one in (mesh, half, third)]
+    assert blamed == [True, False, False]
 
 
 def test_where_nothing_is_missed_the_mesh_limits_no_more_than_it_could_hide() -> None:

@@ -1,7 +1,9 @@
-"""Does the model fit? Three tests that see different misfits, at levels that sum to alpha: two fifths, two fifths, and one fifth.
+"""Does the model fit? Three tests that see different misfits, at levels that sum to alpha for the plain model: two fifths, two fifths, and
+one fifth.
 
-The last is the strictest, since what it sees is named: where nothing is missed and the model is rejected all the same, nothing is
-named then as a rule.
+The last is the strictest there, since what it sees is named: where nothing is missed and the model is rejected all the same, nothing is
+named then as a rule. What an explanation leaves is held against all of alpha by it; the levels sum to 9/5 of alpha then, and by chance
+the right explanation is refused in up to nine of a hundred where alpha is 0.05.
 
     omnibus     |r|^2 along what can be predicted at all, J apart                         any misfit, weakly
     smooth      the same on the lowest cosines of every condition, made orthogonal to J       what bends slowly, well
@@ -34,7 +36,7 @@ from .subject import Family
 MODES = 30
 # Shares of alpha: what leads to a name must be rarer by chance than what says that something is missed.
 OMNIBUS, SMOOTH, LARGEST = 0.4, 0.4, 0.2
-AGAINST = 1.0  # of alpha, what leads away from a name: an effect that is named leaves no other one a significant score
+AGAINST = 1.0  # of alpha, what leads away from a name: an effect is enough only if it leaves no other one a significant score
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to be named where
     lambda = |Q L^-1 rho D|^2 + |Q L^-1 H|^2 / 3 <= 1   and   the root of the like sum of J^+ L^-1 rho D <= 0.2 standard deviations
 
 A misfit is the mesh's own where lambda is too large, an error twice as large as D would make as much of it, since a mesh that converges in
-first order leaves as much as D, and at least half of it looks like D and H. A mesh so coarse that what is expected to be left of D would
-pass for an effect by itself may err in another shape at every size of element: there any misfit is its own that is no larger than D and H
-would make, unless an effect explains it. Where the gate fails an effect is named only if it explains
-more than chance and what may be left together: its score must exceed the critical value by what the remainder, of the shape of D and H,
-would score for it. The smallest effect that would have been seen is larger by as much; where the whole remainder could pass the critical
-value nothing is said.
+first order leaves as much as D where s is a half, and at least half of it looks like D and H. A mesh so coarse that what is expected to be
+left of D would pass for an effect by itself may err in another shape at every size of element: there any misfit is its own that is no
+larger than D and H would make, or s / (1 - s) of them where that is more, what first order leaves; unless an effect explains it. Where the
+gate fails an effect is named only if it explains more than chance and what may be left together: its score must exceed the critical value
+by what the remainder, of the shape of D and H, would score for it. The smallest effect that would have been seen is larger by as much;
+where the whole remainder could pass the critical value nothing is said.
 """
 
 from __future__ import annotations
@@ -112,12 +112,18 @@ class MeshGuard:
     def guilty(self, critical: float) -> bool:
         """Whether the mesh could have made all of the misfit."""
         looks_like_it = self.blind and self.misfit <= self.reach and self.alike >= ALIKE
-        return looks_like_it or (self.hides(critical) and self.misfit <= self.as_corrected)
+        return looks_like_it or (self.hides(critical) and self.misfit <= self.as_first_order)
 
     @property
     def as_corrected(self) -> float:
         """Misfit, in the noise alone, that an error of D would make."""
         return self.reach / TWICE**2
+
+    @property
+    def as_first_order(self) -> float:
+        """Misfit, in the noise alone, of what an error leaves that falls with the first power of the element size; at least that of D."""
+        size = (self.rho / (1.0 + self.rho)) ** (1.0 / ORDER)  # of an element of the finer mesh, as `share_left` has it
+        return max(1.0, size / (1.0 - size)) ** 2 * self.as_corrected
 
     @property
     def gate(self) -> str:

@@ -72,8 +72,9 @@ class DataRecord:
 class MeshRecord:
     """`gate`: `passed`, `failed` or `not checked`.
 
-    `misfit`: the squared misfit beyond the noise alone; `as_corrected`: what an error as large as the correction would make of it; `alike`:
-    the share of the misfit that looks like that error. NaN where the mesh was not checked.
+    `misfit`: the squared misfit beyond the noise alone; `as_corrected`: what an error as large as the correction would make of it;
+    `as_first_order`: what an error leaves that falls with the first power of the element size, at least that; `alike`: the share of the
+    misfit that looks like that error. NaN where the mesh was not checked.
     """
 
     lambda_mesh: float
@@ -82,6 +83,7 @@ class MeshRecord:
     gate: str
     misfit: float = math.nan
     as_corrected: float = math.nan
+    as_first_order: float = math.nan
     alike: float = math.nan
     nodes: int | None = None
     h: float | None = None

@@ -253,11 +253,12 @@ def about_mesh(record: Record) -> list[str]:
             f"What the mesh may still add has strength {short(strength)} in squared units of noise; up to 1 it cannot be mistaken for "
             "an effect."
         )
-    misfit, made, alike = (number(mesh.get(name)) for name in ("misfit", "as_corrected", "alike"))
+    misfit, made, slowly, alike = (number(mesh.get(name)) for name in ("misfit", "as_corrected", "as_first_order", "alike"))
     if misfit > 0 and made > 0:
+        more = f" ({short(slowly)} if the mesh converges in first order only)" if slowly > made else ""
         said.append(
             f"The misfit beyond the noise is {short(misfit)} in the same units; an error as large as that difference would make "
-            f"{short(made)}, and {share(min(max(alike, 0.0), 1.0))} of the misfit looks like it."
+            f"{short(made)}{more}, and {share(min(max(alike, 0.0), 1.0))} of the misfit looks like it."
         )
     gate = str(mesh.get("gate") or "")
     if gate:

@@ -94,8 +94,16 @@ def subject_of(
     tell(0.7, "a finer mesh")
     finer = _finer(study, size, even) if FINER < CLOSE else size
     if finer < CLOSE * size:
-        subject.refine(said(size=finer, even=even), finer / size)
+        fine = said(size=finer, even=even)
+        subject.refine(fine, refinement(finer / size, len(subject.base.mesh.nodes), len(fine.mesh.nodes)))
     return subject
+
+
+def refinement(sizes: float, nodes: int, finely: int) -> float:
+    """Element size of a finer mesh of `finely` nodes over that of a mesh of `nodes`: `sizes`, as they were asked for, or what the nodes say
+    where that is more. Layers and indenters may keep a mesh finer than is asked for.
+    """
+    return max(sizes, (nodes / finely) ** (1 / GROWTH))
 
 
 def parted(subject: FingerSubject, study: Study) -> AbstractSubject:
