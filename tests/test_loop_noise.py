@@ -10,7 +10,7 @@ import pytest
 from loop_toy import Toy
 
 from fingerjax.loop.noise import estimate, outliers
-from fingerjax.loop.repeats import from_repeats
+from fingerjax.loop.repeats import Recorded, from_repeats
 from fingerjax.loop.whitening import Whitener
 
 CONDITIONS, SETTINGS, TRIALS = 5, 20, 4
@@ -27,17 +27,20 @@ def traces(seed: int, *, sigma: float = 0.1, gain: float = 0.0, zero: float = 0.
     gains = day * random.standard_normal(TRIALS)[trial] + (gain * random.standard_normal((CONDITIONS, TRIALS)))[condition, trial]
     y = exact * (1 + gains) + (zero * random.standard_normal((CONDITIONS, TRIALS)))[condition, trial] + sigma * noise.ravel()
     y += 8 * sigma * (random.random(len(y)) < wild) * random.choice([-1, 1], len(y))
-    found = from_repeats(y, condition * SETTINGS + place, condition, trial, place.astype(float), 2.0, False)
-    assert found is not None
-    return found, exact
+    recorded = Recorded(y, condition * SETTINGS + place, condition, trial, place.astype(float))
+    return from_repeats({"made up": recorded}, 2.0, False)["made up"], exact
 
 
 def test_plain_noise_has_its_size_and_nothing_in_common() -> None:
     found = [traces(seed)[0] for seed in range(20)]
-    assert np.mean([one.sigma[0] for one in found]) == pytest.approx(0.1, rel=0.02)
+    # A little is taken for gains where chance looks like them.
+    assert np.mean([np.sqrt(np.mean(one.sigma**2)) for one in found]) == pytest.approx(0.1, rel=0.03)
+    assert np.mean([np.ptp(one.sigma) for one in found]) < 0.02
     assert np.mean([np.sqrt(one.trace[0, 0]) for one in found]) < 0.02
-    # Of 5 x 20 settings three repeats each, less two for every trace beyond the first of its condition.
-    assert found[0].dof == pytest.approx(5 * 20 * 3 - 5 * 3 * 2)
+    # Of 5 x 20 settings three repeats each, less two for every trace beyond the first of its condition where traces have gains.
+    for one in found:
+        assert one.dof == pytest.approx(5 * 20 * 3 - 5 * 3 * 2 * bool(one.trial.any() or one.trace.any()))
+    assert 0 < np.mean([one.dof > 290 for one in found]) < 1
     assert np.mean([one.neighbours > 0 for one in found]) < 0.2
 
 
@@ -71,7 +74,45 @@ def test_rates_are_noisier_where_they_are_high() -> None:
     true = toy.sizes()[toy.index][where]
     assert noise.sigma[where] == pytest.approx(true, rel=0.25)
     assert np.ptp(noise.sigma[where]) > 0
-    assert np.ptp(noise.sigma[toy.rows.blocks["line"]]) == 0.0
+
+
+def forces(seed: int, *, gain: float = 0.0) -> tuple[dict[str, Recorded], dict[str, np.ndarray]]:
+    """Three force curves of one condition each, four trials, one of them of three readings, and the standard deviations of their noise:
+    a floor and a share of the reading.
+    """
+    random, recorded, sizes = np.random.default_rng(seed), {}, {}
+    for name, most, readings in (("probe", 0.1, 6), ("plate", 0.4, 6), ("tip", 0.1, 3)):
+        trial, place = (one.ravel() for one in np.meshgrid(range(4), range(readings), indexing="ij"))
+        exact = most * (1.0 + place) / readings
+        sizes[name] = 0.02 * np.sqrt((0.4 * most) ** 2 + exact**2)
+        y = exact * (1.0 + gain * random.standard_normal(4)[trial]) + sizes[name] * random.standard_normal(len(trial))
+        recorded[name] = Recorded(y, place, np.zeros_like(trial), trial, exact)
+    return recorded, sizes
+
+
+def test_few_repeats_make_no_reading_many_times_surer_than_it_is() -> None:
+    told = []
+    for seed in range(100):
+        recorded, sizes = forces(seed)
+        found = from_repeats(recorded, 2.0, True)
+        told.append([found["probe"].sigma[row] / sizes["probe"][row] for row in (0, 5)])
+    least, most = np.array(told).T
+    assert np.quantile(least, 0.02) > 0.6 and np.quantile(least, 0.98) < 2.5
+    assert np.quantile(most, 0.02) > 0.5 and np.quantile(most, 0.98) < 1.5
+
+
+def test_trials_of_one_condition_have_gains_which_all_blocks_of_one_kind_tell_together() -> None:
+    found = [from_repeats(forces(seed, gain=0.06)[0], 2.0, True) for seed in range(100)]
+    for name in ("probe", "plate", "tip"):
+        assert np.sqrt(np.mean([one[name].trace[0, 0] for one in found])) == pytest.approx(0.06, rel=0.2)
+        assert not np.any([one[name].trial for one in found])
+    # A zero is a share of what a block reads: four times as large where the forces are.
+    sizes = [np.sqrt(one["plate"].trace[1, 1] / one["probe"].trace[1, 1]) for one in found if one["probe"].trace[1, 1] > 0]
+    assert np.mean(sizes) == pytest.approx(4.0, rel=0.1)
+    # Six traces beyond the first of a condition, in two blocks of which traces are long enough.
+    assert found[0]["tip"].widening[1] == pytest.approx((3.707 / 2.576) ** 2, rel=1e-3)
+    plain = [from_repeats(forces(seed)[0], 2.0, True)["plate"].trace.any() for seed in range(100)]
+    assert np.mean(plain) < 0.5
 
 
 def test_what_tells_the_noise_decides_what_may_be_said() -> None:

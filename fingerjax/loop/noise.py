@@ -19,9 +19,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from .repeats import Repeats, from_repeats
+from .repeats import Recorded, Repeats, from_repeats
 from .subject import Rows
 
 REPLICATES, STATED, ASSUMED = "replicates", "stated", "assumed"
@@ -29,6 +29,7 @@ FEWEST_REPEATS, FEWEST_DOF = 3, 30
 LEAST_DOF = 6.0  # of one block, below which a stated standard deviation is preferred to its repeats
 GUESS = 0.05  # share of a block's root mean square that stands in where nothing is known, so that a fit can be made at all
 _POWER = {"spike_rate": 1.0}  # the variance of a count grows with its mean; of other readings, if at all, with the square
+_GROWS = ("spike_rate", "force_displacement")  # a load cell has a floor and a share of what it reads; a camera is as good everywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,19 +122,20 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
     sigma, weights, shared, likely = np.ones(n), np.ones(n), np.zeros((n, n)), np.zeros((n, n))
     correlation, correlated = np.eye(n), False
     source, repeats, terms, freedom = {}, {}, {}, dict.fromkeys(rows.blocks, math.inf)
-    condition, trial = (np.unique(values, return_inverse=True)[1].reshape(-1) for values in (rows.condition, rows.trial))
+    recorded = {name: _recorded(rows, y, name) for name in rows.blocks}
+    told = _told(rows, recorded)
     for name, where in rows.blocks.items():
-        found = _of_block(rows, y, name, condition[where], trial[where])
+        found = told.get(name)
         stated = None if rows.sigma is None or not np.isfinite(rows.sigma[where]).all() else rows.sigma[where]
         repeats[name] = float(np.median(np.bincount(np.unique(rows.setting[where], return_inverse=True)[1].reshape(-1))))
         if found is not None and (found.dof >= LEAST_DOF or stated is None):
             source[name], sigma[where], weights[where] = REPLICATES, found.sigma, found.weights
-            shared[where, where] += _in_common(found, condition[where], trial[where], found.widening)
-            likely[where, where] += _in_common(found, condition[where], trial[where], (1.0, 1.0))
+            shared[where, where] += _in_common(found, recorded[name], found.widening)
+            likely[where, where] += _in_common(found, recorded[name], (1.0, 1.0))
             terms[name] = _said(found)
             freedom[name] = found.dof
             if found.neighbours > 0:
-                correlation[where, where] = _along(found.neighbours, rows.along(name), condition[where], trial[where])
+                correlation[where, where] = _along(found.neighbours, recorded[name])
                 correlated = True
         elif stated is not None:
             source[name], sigma[where], terms[name] = STATED, stated, {}
@@ -154,30 +156,45 @@ def estimate(rows: Rows, measured: Float[np.ndarray, "rows"] | None = None) -> N
     return Noise(sigma, weights, shared, likely, correlation if correlated else None, source, repeats, freedom, terms, beside)
 
 
-def _of_block(
-    rows: Rows, y: np.ndarray, name: str, condition: Int[np.ndarray, "members"], trial: Int[np.ndarray, "members"]
-) -> Repeats | None:
-    where, kind = rows.blocks[name], rows.kinds.get(name, "")
-    setting = np.unique(rows.setting[where], return_inverse=True)[1].reshape(-1)
-    return from_repeats(y[where], setting, condition, trial, rows.along(name), _POWER.get(kind, 2.0), kind in _POWER)
+def _recorded(rows: Rows, y: Float[np.ndarray, "rows"], name: str) -> Recorded:
+    where = rows.blocks[name]
+    coded = (np.unique(values[where], return_inverse=True)[1].reshape(-1) for values in (rows.setting, rows.condition, rows.trial))
+    setting, condition, trial = coded
+    return Recorded(y[where], setting, condition, trial, rows.along(name))
 
 
-def _in_common(found: Repeats, condition: np.ndarray, trial: np.ndarray, widening: tuple[float, float]) -> np.ndarray:
-    """(members, members): covariance by the gains and zeros of trials and of traces."""
+def _told(rows: Rows, recorded: Mapping[str, Recorded]) -> dict[str, Repeats]:
+    """What repeats tell, of all blocks of one kind together."""
+    found: dict[str, Repeats] = {}
+    for kind in dict.fromkeys(rows.kinds.get(name, "") for name in recorded):
+        alike = {name: one for name, one in recorded.items() if rows.kinds.get(name, "") == kind}
+        found |= from_repeats(alike, _POWER.get(kind, 2.0), kind in _GROWS)
+    return found
+
+
+def _in_common(found: Repeats, recorded: Recorded, widening: tuple[float, float]) -> Float[np.ndarray, "members members"]:
+    """Covariance by the gains and zeros of trials and of traces."""
     trials, traces = widening[0] * found.trial, widening[1] * found.trace
     basis = np.stack([found.centre, np.ones_like(found.centre)], axis=1)
-    together = trial[:, None] == trial
-    return together * (basis @ trials @ basis.T) + (together & (condition[:, None] == condition)) * (basis @ traces @ basis.T)
+    return _alike(recorded.trial) * (basis @ trials @ basis.T) + _traced(recorded) * (basis @ traces @ basis.T)
 
 
-def _along(neighbours: float, along: np.ndarray, condition: np.ndarray, trial: np.ndarray) -> np.ndarray:
-    """(members, members): correlation neighbours^|steps| within a trace, none between traces."""
-    place = np.zeros(len(along))
-    together = (trial[:, None] == trial) & (condition[:, None] == condition)
-    for one in range(len(along)):
+def _along(neighbours: float, recorded: Recorded) -> Float[np.ndarray, "members members"]:
+    """Correlation neighbours^|steps| within a trace, none between traces."""
+    place, together = np.zeros(len(recorded.along)), _traced(recorded)
+    for one in range(len(place)):
         inside = np.flatnonzero(together[one])
-        place[inside] = np.argsort(np.argsort(along[inside], kind="stable"), kind="stable")
+        place[inside] = np.argsort(np.argsort(recorded.along[inside], kind="stable"), kind="stable")
     return np.where(together, neighbours ** np.abs(place[:, None] - place), 0.0)
+
+
+def _traced(recorded: Recorded) -> Bool[np.ndarray, "members members"]:
+    """Whether two rows are of one trace."""
+    return _alike(recorded.trial) & _alike(recorded.condition)
+
+
+def _alike(numbers: Int[np.ndarray, "members"]) -> Bool[np.ndarray, "members members"]:
+    return numbers[:, None] == numbers
 
 
 def _said(found: Repeats) -> dict[str, float]:

@@ -9,11 +9,13 @@ misfit of the model is never taken for one; they are weighed down, as Student's 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import optimize, stats
+from scipy import stats
 
 TURN = 3.0  # standard deviations from which on a row counts less, by the square of what it is beyond
 CLEAR = 3.0  # standard errors from which on neighbours count as correlated
@@ -22,7 +24,7 @@ SHORTEST = 4  # rows of a trace from which a gain and a zero of its own can be t
 FLAT = 0.1  # of a trace: smaller over larger singular value of (gain, zero), where its values differ by less than a fifth
 SEEN = 0.2  # probability by chance below which trials, or traces, are taken to have gains and zeros of their own
 SURE = 0.995  # quantile at which the variance that few trials tell is made wide enough
-CLEARLY = 10.0  # fall of the deviance at which a noise that grows with the value is believed where none is expected
+GROWING = 20  # laws of noise that are averaged: so many of which a share of the variance grows with the value, and one that is flat
 # Share of the normal variance that is left under these weights: x^2 within TURN, TURN^4 / x^2 beyond.
 _KEPT = float(
     1 - 2 * stats.norm.sf(TURN) - 2 * TURN * stats.norm.pdf(TURN) + 2 * TURN**4 * (stats.norm.pdf(TURN) / TURN - stats.norm.sf(TURN))
@@ -50,34 +52,51 @@ class Repeats:
     dof: float
 
 
-def from_repeats(
-    measured: Float[np.ndarray, "rows"],
-    setting: Int[np.ndarray, "rows"],
-    condition: Int[np.ndarray, "rows"],
-    trial: Int[np.ndarray, "rows"],
-    along: Float[np.ndarray, "rows"],
-    power: float,
-    expected: bool,
-) -> Repeats | None:
-    """The noise of one block, or None where no setting is repeated, or all repeats are copies.
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """One block as it was recorded, (rows,) each.
 
-    **Arguments:** `setting`, `condition`, `trial`: numbers that rows of the same one share; `along`: the coordinate that orders a trace;
-    `power`: the noise's variance is a + b mean^power, with b = 0 unless it is `expected` or clearly seen.
+    - `setting`, `condition`, `trial`: numbers that rows of the same one share. `along`: the coordinate that orders a trace.
     """
-    count = np.bincount(setting)[setting]
-    if not (count > 1).any():
-        return None
-    _, traces = np.unique(np.stack([condition, trial]), axis=1, return_inverse=True)
-    traces = traces.reshape(-1)
-    if not np.any(measured != _first_of(measured, setting)):
-        return None
-    block = _Block(measured, setting, condition, trial, traces, count, power, expected)
-    split = block.first()
-    for _ in range(ROUNDS):
-        split = block.again(split)
-    shared, own, widening = block.levels(split)
-    near = _neighbours(np.where(count > 1, split.left / split.sigma, 0.0), traces, along, len(split.pairs))
-    return Repeats(split.sigma, split.weights, split.centre, shared, own, widening, near, split.dof)
+
+    measured: Float[np.ndarray, "rows"]
+    setting: Int[np.ndarray, "rows"]
+    condition: Int[np.ndarray, "rows"]
+    trial: Int[np.ndarray, "rows"]
+    along: Float[np.ndarray, "rows"]
+
+    @property
+    def repeated(self) -> bool:
+        """Whether a setting is, and not all repeats are copies."""
+        first = self.measured[np.unique(self.setting, return_index=True)[1]][self.setting]
+        return bool(np.any(self.measured != first))
+
+
+def from_repeats(recorded: Mapping[str, Recorded], power: float, expected: bool) -> dict[str, Repeats]:
+    """The noise of blocks that one kind of instrument recorded, without those whose repeats tell nothing.
+
+    What trials and traces have in common is asked of all blocks together, gains as shares and zeros in units of what a block reads: a few
+    trials of one block would tell it badly.
+
+    **Arguments:** `power`: the noise's variance is a + b mean^power, in each block with an a and b of its own; `expected`: b is not 0.
+    """
+    blocks = {name: _Block.of(one, power, expected) for name, one in recorded.items() if one.repeated}
+    splits = {name: block.split() for name, block in blocks.items()}
+    traces = [trace for name, block in blocks.items() for trace in block.pairs_of(splits[name], name)]
+    shared, own, widening = _levels(traces)
+    if traces and not (shared.any() or own.any()):
+        splits = {name: replace(block, apart=False).split() for name, block in blocks.items()}
+    return {name: _repeats(block, splits[name], shared, own, widening) for name, block in blocks.items()}
+
+
+def _repeats(
+    block: _Block, split: _Split, shared: Float[np.ndarray, "2 2"], own: Float[np.ndarray, "2 2"], widening: tuple[float, float]
+) -> Repeats:
+    left = np.where(block.count > 1, split.left / split.sigma, 0.0)
+    near = _neighbours(left, block.traces, block.along, len(split.pairs))
+    unit = np.array([1.0, block.size(split)])
+    trial, trace = (np.outer(unit, unit) * each for each in (shared, own))
+    return Repeats(split.sigma, split.weights, split.centre, trial, trace, widening, near, split.dof)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +112,40 @@ class _Split:
     dof: float
 
 
-def _first_of(measured: np.ndarray, setting: np.ndarray) -> np.ndarray:
-    """(rows,) the first row of each row's setting."""
-    return measured[np.unique(setting, return_index=True)[1]][setting]
-
-
 def _basis(centre: np.ndarray) -> np.ndarray:
     """(rows, 2): what a gain and a zero of one unit add."""
     return np.stack([centre, np.ones_like(centre)], axis=1)
 
 
-def _inverse(centre: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, int]:
-    """((2, rows), rank): from deviations to (gain, zero) by weighted least squares. Of a trace that is nearly flat, where a gain and a
-    zero are the same, the smallest pair that does.
+def _inverse(centre: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(2, rows): from deviations to (gain, zero) by weighted least squares. Of a trace that is nearly flat, where a gain and a zero are
+    the same, the smallest pair that does.
     """
     basis, root = _basis(centre), np.sqrt(weights)
     scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
     left, singular, right = np.linalg.svd(root[:, None] * basis / scale, full_matrices=False)
     kept = singular > FLAT * singular[0]
-    return (right[kept].T / singular[kept] / scale[:, None]) @ left[:, kept].T * root, int(kept.sum())
+    return (right[kept].T / singular[kept] / scale[:, None]) @ left[:, kept].T * root
+
+
+@dataclass(frozen=True, eq=False)
+class _Trace:
+    """What one trace adds to its settings' means: (gain, zero), the zero in units of what its block reads.
+
+    - `spread` (2, 2): what noise alone makes of the pair; `metric` (2, 2): B' B of its rows in standard deviations. `repeats`: of its rows.
+    """
+
+    condition: tuple[str, int]
+    trial: tuple[str, int]
+    pair: Float[np.ndarray, "2"]
+    spread: Float[np.ndarray, "2 2"]
+    metric: Float[np.ndarray, "2 2"]
+    repeats: float
+
+    @property
+    def grown(self) -> float:
+        """Variance of a trace over that of what is left of it when the mean of all repeats is taken off."""
+        return self.repeats / (self.repeats - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,140 +154,151 @@ class _Block:
     setting: np.ndarray
     condition: np.ndarray
     trial: np.ndarray
+    along: np.ndarray
     traces: np.ndarray
     count: np.ndarray  # repeats of each row's setting
     power: float
     expected: bool
+    apart: bool = True  # whether traces may have gains and zeros of their own
 
-    def first(self) -> _Split:
+    @classmethod
+    def of(cls, one: Recorded, power: float, expected: bool) -> _Block:
+        _, traces = np.unique(np.stack([one.condition, one.trial]), axis=1, return_inverse=True)
+        count = np.bincount(one.setting)[one.setting]
+        return cls(one.measured, one.setting, one.condition, one.trial, one.along, traces.reshape(-1), count, power, expected)
+
+    def size(self, split: _Split) -> float:
+        """What the block reads, root mean square."""
+        return max(float(np.sqrt(np.mean(split.centre[self.count > 1] ** 2))), 1e-300)
+
+    def split(self) -> _Split:
+        """The rows taken apart, about means in which rows that stand out count less."""
+        split = self._first()
+        for _ in range(ROUNDS):
+            split = self._again(split)
+        return split
+
+    def _first(self) -> _Split:
         """About the medians of the settings, all rows equal."""
         medians = np.array([np.median(self.measured[self.setting == one]) for one in range(self.setting.max() + 1)])
-        return self._split(medians[self.setting], np.ones(len(self.measured)))
+        return self._about(medians[self.setting], np.ones(len(self.measured)))
 
-    def again(self, before: _Split) -> _Split:
-        """About means in which rows that stand out count less."""
+    def _again(self, before: _Split) -> _Split:
         size = before.sigma * math.sqrt(max(before.dof, 1.0) / max(int((self.count > 1).sum()), 1))
         weights = np.minimum(1.0, TURN * size / np.maximum(np.abs(before.left), 1e-300)) ** 2
         sums = np.bincount(self.setting, weights * (self.measured - before.common))
-        return self._split((sums / np.bincount(self.setting, weights))[self.setting], weights)
+        return self._about((sums / np.bincount(self.setting, weights))[self.setting], weights)
 
-    def _split(self, centre: np.ndarray, weights: np.ndarray) -> _Split:
-        pairs = self._pairs(self.measured - centre, centre, weights)
-        common = np.zeros(len(centre))
-        for one, pair in pairs.items():
-            common[self.traces == one] = _basis(centre[self.traces == one]) @ pair
+    def _about(self, centre: np.ndarray, weights: np.ndarray) -> _Split:
+        common, kept, pairs = np.zeros(len(centre)), 1.0 - 1.0 / self.count, {}
+        for one, rows in self._long().items():
+            inverse = _inverse(centre[rows], weights[rows])
+            basis = _basis(centre[rows])
+            pairs[one] = inverse @ (self.measured - centre)[rows]
+            common[rows] = basis @ pairs[one]
+            kept[rows] *= 1.0 - np.sum(basis * inverse.T, axis=1)
         left = self.measured - centre - common
-        dof = float(np.sum(1.0 - 1.0 / self.count)) - self._spent(pairs, centre)
-        sigma = _law(left, centre, weights, self.count, dof, self.power, self.expected)
-        return _Split(centre, common, left, pairs, sigma, weights, dof)
+        sigma = _law(left, kept, centre, weights, self.power, self.expected)
+        return _Split(centre, common, left, pairs, sigma, weights, float(kept.sum()))
 
-    def _pairs(self, deviation: np.ndarray, centre: np.ndarray, weights: np.ndarray) -> dict[int, np.ndarray]:
-        """Trace -> (gain, zero) by weighted least squares; the smallest where they cannot be told apart."""
-        found = {}
-        for one in range(self.traces.max() + 1):
-            rows = np.flatnonzero((self.traces == one) & (self.count > 1))
-            if len(rows) >= SHORTEST:
-                found[one] = _inverse(centre[rows], weights[rows])[0] @ deviation[rows]
+    def _long(self) -> dict[int, np.ndarray]:
+        """Trace -> its repeated rows, of traces with enough of them to have a gain and a zero."""
+        rows = {one: np.flatnonzero((self.traces == one) & (self.count > 1)) for one in range(self.traces.max() + 1)}
+        return {one: each for one, each in rows.items() if self.apart and len(each) >= SHORTEST}
+
+    def pairs_of(self, split: _Split, name: str) -> list[_Trace]:
+        """What its traces add, where they are long enough to tell."""
+        unit, found = np.array([1.0, self.size(split)]), []
+        for one, rows in self._long().items():
+            variance = split.sigma[rows] ** 2 / split.weights[rows]
+            basis, inverse = _basis(split.centre[rows]), _inverse(split.centre[rows], split.weights[rows])
+            spread, metric = (inverse * variance) @ inverse.T, basis.T @ (basis / variance[:, None])
+            units, repeats = np.outer(unit, unit), float(np.mean(self.count[rows]))
+            condition, trial = ((name, int(code[rows][0])) for code in (self.condition, self.trial))
+            found.append(_Trace(condition, trial, split.pairs[one] / unit, spread / units, metric * units, repeats))
         return found
 
-    def _spent(self, pairs: dict[int, np.ndarray], centre: np.ndarray) -> float:
-        """Degrees of freedom that the traces took, less those that the means of the settings had taken already."""
-        spent = 0.0
-        for one in np.unique(self.condition):
-            ranks = [self._rank(trace, centre) for trace in set(self.traces[self.condition == one].tolist()) & set(pairs)]
-            spent += sum(ranks) * (1.0 - 1.0 / max(len(ranks), 1))
-        return spent
 
-    def _rank(self, trace: int, centre: np.ndarray) -> int:
-        rows = (self.traces == trace) & (self.count > 1)
-        return _inverse(centre[rows], np.ones(int(rows.sum())))[1]
-
-    def levels(self, split: _Split) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-        """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest; their widening. What is not
-        seen is none: a few trials always have something in common by chance, which made as wide as few trials demand would hide effects.
-        """
-        if not split.pairs:
-            return np.zeros((2, 2)), np.zeros((2, 2)), (1.0, 1.0)
-        where = {one: tuple(int(code[self.traces == one][0]) for code in (self.condition, self.trial)) for one in split.pairs}
-        metric, noise, whole = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
-        alone: dict[int, np.ndarray] = {}
-        for one, pair in split.pairs.items():
-            rows = (self.traces == one) & (self.count > 1)
-            variance = split.sigma[rows] ** 2 / split.weights[rows]
-            basis, inverse = _basis(split.centre[rows]), _inverse(split.centre[rows], split.weights[rows])[0]
-            repeats = float(np.mean(self.count[rows]))
-            metric += basis.T @ (basis / variance[:, None]) / len(where)
-            alone[one] = (inverse * variance) @ inverse.T
-            noise += alone[one] / len(where)
-            whole += np.outer(pair, pair) * repeats / (repeats - 1.0) / len(where)
-        shared, trials = _between(split.pairs, where, self.count, self.traces)
-        root = np.linalg.cholesky(metric + 1e-12 * np.diag(np.diag(metric)) + 1e-300 * np.eye(2))
-        shared = _positive(shared, root)
-        own = _positive(whole - noise - shared, root)
-        apart, _ = _told(split.pairs, where, alone)
-        own = own if _seen(*apart) else np.zeros((2, 2))
-        _, together = _told(split.pairs, where, {one: each + own for one, each in alone.items()})
-        shared = shared if _seen(*together) else np.zeros((2, 2))
-        conditions = len({one[0] for one in where.values()})
-        return shared, own, (_widening(trials - 1), _widening(len(where) - conditions))
+def _levels(traces: list[_Trace]) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    """Covariances of (gain, zero) by moments: what trials have in common between conditions, and the rest; their widening. What is not
+    seen is none: a few trials always have something in common by chance, which made as wide as few trials demand would hide effects.
+    """
+    none = np.zeros((2, 2))
+    if not traces:
+        return none, none, (1.0, 1.0)
+    metric, noise = (sum((getattr(one, name) for one in traces), none) / len(traces) for name in ("metric", "spread"))
+    whole = sum((one.grown * np.outer(one.pair, one.pair) for one in traces), none) / len(traces)
+    shared, trials = _between(traces)
+    root = np.linalg.cholesky(metric + 1e-12 * np.diag(np.diag(metric)) + 1e-300 * np.eye(2))
+    shared = _positive(shared, root)
+    own = _positive(whole - noise - shared, root)
+    apart, _ = _told(traces, none)
+    own = own if _seen(*apart) else none
+    _, together = _told(traces, own)
+    shared = shared if _seen(*together) else none
+    conditions = len({one.condition for one in traces})
+    return shared, own, (_widening(trials - 1), _widening(len(traces) - conditions))
 
 
 def _law(
-    left: np.ndarray, centre: np.ndarray, weights: np.ndarray, count: np.ndarray, dof: float, power: float, expected: bool
+    left: Float[np.ndarray, "rows"],
+    kept: Float[np.ndarray, "rows"],
+    centre: Float[np.ndarray, "rows"],
+    weights: Float[np.ndarray, "rows"],
+    power: float,
+    expected: bool,
 ) -> Float[np.ndarray, "rows"]:
-    """(rows,) standard deviations: the root of a + b mean^power, fitted to the squares of what is left."""
-    use = count > 1
-    square = (weights[use] * left[use]) ** 2 / _KEPT * (use.sum() / max(dof, 1.0))
-    flat = float(np.mean(square))
+    """(rows,) standard deviations: the root of a + b mean^power, averaged over b's share as the squares of what is left speak for it. Of
+    few repeats the likeliest law has a or b be nothing as a rule, and some rows would count as many times surer than they are. Where no
+    growth is expected none is as likely beforehand as any.
+
+    **Arguments:** `kept`: share of a row's variance that is left when the mean of its setting, and its trace, are taken off it.
+    """
+    use = kept > 1e-6
+    square, dof = (weights[use] * left[use]) ** 2 / _KEPT, kept[use]
     grown = np.abs(centre) ** power
-    share = np.stack([np.ones(int(use.sum())), grown[use] / max(float(np.mean(grown[use])), 1e-300)], axis=1)
-    law = np.array([flat, 0.0])
-    for _ in range(4):
-        size = np.maximum(share @ law, 1e-3 * flat) + 1e-300
-        law = optimize.nnls(share / size[:, None], square / size)[0]
-    size = np.maximum(share @ law, 1e-2 * flat) + 1e-300
-    gain = np.sum(np.log(max(flat, 1e-300)) + square / max(flat, 1e-300)) - np.sum(np.log(size) + square / size)
-    if not (expected or gain * dof / use.sum() > CLEARLY):
-        law = np.array([flat, 0.0])
-    everywhere = law[0] + law[1] * grown / max(float(np.mean(grown[use])), 1e-300)
-    return np.sqrt(np.maximum(everywhere, 1e-2 * flat) + 1e-300)
+    grown = grown / max(float(np.mean(grown[use])), 1e-300)
+    share = np.append((np.arange(GROWING) + 0.5) / GROWING, 0.0)
+    shape = 1.0 - share + share * grown[:, None]
+    level = np.sum(square[:, None] / shape[use], axis=0) / dof.sum() + 1e-300
+    speaks = -0.5 * (dof.sum() * np.log(level) + dof @ np.log(shape[use]))
+    likely = np.exp(speaks - speaks.max()) * np.append(np.ones(GROWING), 0.0 if expected else GROWING)
+    return np.sqrt(shape @ (likely * level) / likely.sum())
 
 
-def _between(
-    pairs: dict[int, np.ndarray], where: dict[int, tuple[int, ...]], count: np.ndarray, traces: np.ndarray
-) -> tuple[np.ndarray, int]:
+def _between(traces: list[_Trace]) -> tuple[Float[np.ndarray, "2 2"], int]:
     """Mean product of the traces of one trial in two conditions, and the number of trials that have two."""
     total, met, trials = np.zeros((2, 2)), 0, set()
-    for one, (condition, trial) in where.items():
-        for other, (elsewhere, again) in where.items():
-            if again == trial and elsewhere != condition:
-                repeats = float(np.mean(count[traces == one]))
-                product = np.outer(pairs[one], pairs[other])
-                total += 0.5 * (product + product.T) * repeats / (repeats - 1.0)
+    for one in traces:
+        for other in traces:
+            if other.trial == one.trial and other.condition != one.condition:
+                product = np.outer(one.pair, other.pair)
+                total += 0.5 * (product + product.T) * one.grown
                 met += 1
-                trials.add(trial)
+                trials.add(one.trial)
     return (total / met if met else total), len(trials)
 
 
-def _told(
-    pairs: dict[int, np.ndarray], where: dict[int, tuple[int, ...]], spread: dict[int, np.ndarray]
-) -> tuple[tuple[float, int], tuple[float, int]]:
+def _told(traces: list[_Trace], added: Float[np.ndarray, "2 2"]) -> tuple[tuple[float, int], tuple[float, int]]:
     """Squares of what traces have that their trial's other traces do not, and of what those of a trial have in common, each with its
-    degrees of freedom: chi-square where pairs have no more than their `spread`.
+    degrees of freedom: chi-square where pairs have no more than their spread and what is `added` to it. A trial's only trace has what it
+    has for itself.
     """
-    trials = {trial for _, trial in where.values()}
-    met = {condition: sum(other == condition for other, _ in where.values()) for condition, _ in where.values()}
-    sums, total = {trial: np.zeros(2) for trial in trials}, np.zeros((2, 2))
-    whole, freedom = 0.0, 0.0
-    for one, (condition, trial) in where.items():
-        precise, rank = _inverted(spread[one])
-        whole += float(pairs[one] @ precise @ pairs[one])
-        freedom += rank * (1.0 - 1.0 / met[condition])
-        sums[trial] += precise @ pairs[one]
-        total += precise / len(trials)
-    common, rank = _inverted(total)
-    shared = sum(float(each @ common @ each) for each in sums.values())
-    some = rank * (len(trials) - 1)
+    met, several = Counter(one.condition for one in traces), Counter(one.trial for one in traces)
+    whole, freedom, shared, some = 0.0, 0.0, 0.0, 0
+    common: dict[str, dict[tuple[str, int], list[np.ndarray]]] = {}
+    for one in traces:
+        precise, rank = _inverted(one.spread + added)
+        whole += float(one.pair @ precise @ one.pair)
+        freedom += rank * (1.0 - 1.0 / met[one.condition])
+        if several[one.trial] > 1:
+            sums = common.setdefault(one.trial[0], {}).setdefault(one.trial, [np.zeros(2), np.zeros((2, 2))])
+            sums[0] += precise @ one.pair
+            sums[1] += precise
+    for trials in common.values():
+        spread, rank = _inverted(np.mean([precise for _, precise in trials.values()], axis=0))
+        shared += sum(float(pair @ spread @ pair) for pair, _ in trials.values())
+        some += rank * (len(trials) - 1)
     return (whole - shared, round(freedom) - some), (shared, some)
 
 
