@@ -325,7 +325,7 @@ def test_effects_are_refitted_where_more_is_missed_than_the_mesh_could_have_made
     assert asked(4.0, 1.9, smooth_p=0.001) and asked(4.0, 1.9, cos=0.9)
 
 
-FAR = np.array([1.5, -1.0, 1.0, 0.5, -0.5])  # of raw parameters: from there a search takes many steps
+FAR = np.array([2.4, -1.6, 1.6, 0.8, -0.8])  # of raw parameters: from there a search takes many steps
 
 
 def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> None:
@@ -340,9 +340,9 @@ def test_a_search_that_promises_no_more_than_chance_explains_is_given_up() -> No
     def searched(family: str) -> Optimum:
         node = found.base.ranking[family].nodes[0]
         raw, phi = next(starts(node, base))
-        return optimum(base.sample, node.columns, raw + FAR, phi, enough=base.rss - 100.0)
+        return optimum(base.sample, node.columns, raw + FAR, phi, enough=base.rss - 300.0)
 
-    assert searched("contact_offset").settled and searched("contact_offset").rss < base.rss - 100.0
+    assert searched("contact_offset").settled and searched("contact_offset").rss < base.rss - 300.0
     assert not searched("epidermis_thickness").settled and "given up" in searched("epidermis_thickness").reason
 
 
@@ -379,7 +379,7 @@ def test_the_nearest_model_may_hold_as_much_of_an_effect_as_is_plausible() -> No
 
 
 def test_where_one_effect_is_enough_those_that_promise_next_to_nothing_are_not_refitted() -> None:
-    toy = Toy(truth={"contact_offset.offset": 0.02})
+    toy = Toy(truth={"contact_offset.offset": 0.016})
     found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
     inquiry = Inquiry(found.base, found.families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0)
     most = found.base.ranking.promising[:REFITTED]
@@ -453,7 +453,7 @@ def test_pairs_with_what_is_dear_come_last_and_not_at_all_where_two_other_effect
 
 
 def test_neither_dear_effects_nor_pairs_are_tried_where_the_mesh_could_have_made_all_of_the_misfit() -> None:
-    toy = Toy(truth={"contact_offset.offset": 0.06, "spontaneous_rate.rate": 8.0})
+    toy = Toy(truth={"contact_offset.offset": 0.06, "spontaneous_rate.rate": 6.0})
     found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget)
     families = tuple(dataclasses.replace(family, dear=family.name == "contact_offset") for family in found.families)
     free, blamed = (Inquiry(found.base, families, np.zeros(len(toy.rows), dtype=bool), 0.05, 0, blamed=blamed) for blamed in (False, True))
