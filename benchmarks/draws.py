@@ -3,11 +3,11 @@
 `python -m benchmarks.draws [--quick] [--draws N] [--scenarios a,b] [--out FOLDER] [--json FILE]`
 
 `benchmarks.blind` diagnoses a laboratory as a user would, which takes minutes, so that it has one draw of noise of each. Here the
-laboratory without an effect is fitted once for each finger. Around that fit the model, its effects and what finer meshes add are taken to
-be straight lines, which cost nothing: every draw of the readings of the other finite-element program goes from its repeats to its verdict
-through the code that users run. What bends is missing, so that this tells how much of a verdict is luck, and what noise names where
-nothing is missed; whether large effects are told apart is for `benchmarks.blind` to say. `--quick`: coarse meshes, few rows, two
-laboratories.
+laboratory without an effect is fitted once, with and without conditions held out. Around that fit the model, its effects and what finer
+meshes add are taken to be straight lines, which cost nothing: every draw of the readings of the other finite-element program goes from its
+repeats to its verdict through the code that users run. What bends is missing, so that this tells how much of a verdict is luck, and what
+noise names where nothing is missed; whether large effects are told apart is for `benchmarks.blind` to say. `--quick`: coarse meshes, few
+rows, two laboratories.
 """
 
 from __future__ import annotations
@@ -126,36 +126,37 @@ def verdicts(straight: Straight, scenario: Scenario, clean: Readings, *, draws: 
     return found
 
 
-def fitted(finger: str, truths: Truths) -> Straight:
-    """The laboratory without an effect, fitted to its first draw."""
+def fitted(plain: Scenario, truths: Truths) -> Straight:
+    """A laboratory without an effect, fitted to its first draw."""
     with tempfile.TemporaryDirectory() as place:
-        folders.write(SCENARIOS[f"none_{finger}"], truths, Path(place) / "lab", Path(place) / "truth.yaml", noise=NOISE, seed=1)
+        folders.write(plain, truths, Path(place) / "lab", Path(place) / "truth.yaml", noise=NOISE, seed=1)
         (study,) = load_studies(Path(place) / "lab" / "experiments.yaml").values()
         return Straight.of(parted(subject_of(study), study))
 
 
 def alike(scenario: Scenario, *, thin: bool) -> bool:
-    """Whether a laboratory records, and holds out, what the one without an effect does, on meshes as fine."""
+    """Whether a laboratory records what the one without an effect does, on meshes as fine."""
     plain = SCENARIOS[f"none_{scenario.finger}"]
     world, other = scenario.world(thin=thin), plain.world(thin=thin)
     same = [(one.name, coordinates(one)) for one in world.records] == [(one.name, coordinates(one)) for one in other.records]
-    return same and scenario.hold_out == plain.hold_out and world.nodes == other.nodes and world.resolution == other.resolution
+    return same and world.nodes == other.nodes and world.resolution == other.resolution
 
 
 def main(names: Iterable[str], folder: Path, draws: int, *, thin: bool) -> Iterator[Figure]:
     """Each laboratory, then all of a kind together."""
     truths = Truths(folder / "mechanics", thin, tell=_say)
-    straight: dict[str, Straight] = {}
+    straight: dict[tuple[str, bool], Straight] = {}
     every: list[Drawn] = []
     for name in in_order(names):
         scenario = SCENARIOS[name]
         if not alike(scenario, thin=thin):
             _say(f"{name}: left out, its rows or meshes are others")
             continue
-        if scenario.finger not in straight:
-            straight[scenario.finger] = fitted(scenario.finger, truths)
+        plain = replace(SCENARIOS[f"none_{scenario.finger}"], hold_out=scenario.hold_out)
+        kind = (scenario.finger, scenario.hold_out)
+        straight[kind] = straight.get(kind) or fitted(plain, truths)
         count = draws * (OF_NULLS if scenario.kind == "none" else 1)
-        found = verdicts(straight[scenario.finger], scenario, truths.clean(scenario), draws=count, thin=thin)
+        found = verdicts(straight[kind], scenario, truths.clean(scenario), draws=count, thin=thin)
         said = "; ".join(f"{what} {number}" for what, number in Counter(one.said for one in found).most_common(4))
         what, holds = ("found", _found) if scenario.families else ("an effect named", _wrong)
         yield Figure(f"{name}: {what}", float(np.mean([holds(one) for one in found])), "1", note=f"{count} draws: {said}")
