@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from fingerjax.forward import meshed, model
-from fingerjax.forward.rigs import SPHERE_SPACING
+from fingerjax.forward.model import SHARP
+from fingerjax.forward.rigs import PROBE_SPACING, SPHERE_SPACING
 from fingerjax.forward.shape import RIM
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh.contour import beyond
@@ -71,6 +72,27 @@ def test_a_small_probe_touches_nodes_of_an_even_mesh_however_coarse(tmp_path: Pa
     assert np.linalg.norm(mesh.nodes - under, axis=1).min() < 0.25
 
 
+def longest_under_probe(one: Study, size: float, radius: float, *, sharp: bool) -> float:
+    """Longest edge, mm, of the skin's triangles in the middle of the probe's foot."""
+    solid, mesh = meshed(one, size=size, even=True, sharp=sharp)
+    corners = mesh.nodes[mesh.skin[:, :3]]
+    under = solid.surface(np.array([SITE["z_mm"]]), np.array([1.5 * np.pi]))
+    edges = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
+    return float(edges[np.linalg.norm(corners.mean(axis=1) - under, axis=1) < 0.7 * radius].max())
+
+
+def test_a_finer_mesh_is_as_fine_under_a_probe_as_that_needs_whatever_its_size(tmp_path: Path) -> None:
+    radius = 1.0
+    probe = PLATE | {"indenter": {"shape": "point", "radius_mm": radius, "edge_radius_mm": 0.5}}
+    rows = [{"displacement_mm": 0.25, "force_N": 0.1}, {"displacement_mm": 1.0, "force_N": 0.2}]
+    model = {"ratios": "m43338", "epidermis_MPa": 0.14, "bone": "held"}
+    finger = {"preset": "monkey", "resolution": COARSE}
+    one = study_of(tmp_path, {"probe": (probe, rows)}, {"free": ["epidermis.modulus"]}, finger=finger, model=model)
+    size = 3.0
+    longest = {sharp: longest_under_probe(one, size, radius, sharp=sharp) for sharp in (True, False)}
+    assert longest[True] <= 2 * SHARP * radius * (1 + 1e-9) < longest[False] <= 2 * size * PROBE_SPACING * radius * (1 + 1e-9)
+
+
 def test_elements_are_as_small_as_the_nodes_allow(tmp_path: Path) -> None:
     one = study(tmp_path, "rigid")
     whole = diagnosing._nodes(one, 1.0, True)
@@ -83,7 +105,7 @@ def test_where_fewer_nodes_are_asked_for_than_a_mesh_can_have_the_finer_one_is_f
 ) -> None:
     one, least = study(tmp_path, "rigid"), 2_400
 
-    def nodes(_: Study, size: float, even: bool) -> int:
+    def nodes(_: Study, size: float, even: bool, *, sharp: bool = False) -> int:
         return max(round(66_000 / size**1.5), least)
 
     monkeypatch.setattr(diagnosing, "_nodes", nodes)

@@ -35,11 +35,12 @@ from .pressing import settle
 from .problem import Health, Problem
 from .programs import forget_when_many
 from .readings import Instruments, Prediction, Solved
-from .rigs import Skin, foci, lay, plans, tips
+from .rigs import PROBE_SPACING, Skin, foci, lay, plans, tips
 from .shape import Tell, mesh_of, solid_of, unheard
 from .wiring import Prior, Values, Wiring, priors, wiring
 
 VOLUME = 0.01  # share by which a layer of the mesh may be larger or smaller than the finger's before it is told
+SHARP = 0.2  # of its radius: node spacing under a probe where it must not be coarser, whatever the size of elements elsewhere
 ASSUMED_NOISE = 0.02  # of a measurement's largest value, where nobody says how noisy it is
 
 
@@ -237,24 +238,26 @@ def _pooled(measurement: Measurement) -> float | None:
 
 
 def assemble(
-    study: Study, *, solver: str = "auto", size: float = 1.0, even: bool = False, focused: bool = True, tell: Tell = unheard
-) -> Assembled:
+    study: Study, *, solver: str = "auto", size: float = 1.0, even: bool = False, focused: bool = True, sharp: bool = False,
+    tell: Tell = unheard,
+) -> Assembled:  # fmt: skip
     """Mesh a study's finger and lay its measurements out on it. `tell(share, what)` hears of the progress.
 
     `size`: elements so many times as large as the study's own, everywhere; `even`: hardly larger far from the pad. `focused`: smaller ones
-    under sharp indenters and at receptors; else no more than it takes for probes to touch any.
+    under sharp indenters and at receptors; else no more than it takes for probes to touch any. `sharp`: under probes a fifth of their
+    radius, whatever the `size`.
 
     **Raises** `InputError` where a measurement cannot be made on this finger: a site or a surface point beyond the skin, a receptor
     outside the tissue, rows that do not say to which subject they belong although moduli differ between subjects.
     """
     wired = wiring(study)
     _check_labels(study, wired)
-    solid, finger = meshed(study, size=size, even=even, focused=focused, tell=tell)
+    solid, finger = meshed(study, size=size, even=even, focused=focused, sharp=sharp, tell=tell)
     return lay_out(study, solid, finger, wired, solver)
 
 
 def meshed(
-    study: Study, *, size: float = 1.0, even: bool = False, focused: bool = True, tell: Tell = unheard
+    study: Study, *, size: float = 1.0, even: bool = False, focused: bool = True, sharp: bool = False, tell: Tell = unheard
 ) -> tuple[AbstractSolid, Finger]:
     """A study's finger and the mesh that `assemble` takes for it."""
     solid = solid_of(study, tell)
@@ -262,7 +265,8 @@ def meshed(
     tell(0.9, "meshing")
     asked = study.finger.resolution
     pad = math.inf if even else asked.pad_mm  # an even mesh is fine under probes however coarse its pad is
-    fine = foci(planned, solid, pad, asked.least_mm or 0.0) if focused else tips(planned, solid, size * asked.pad_mm)
+    under_probes = min(SHARP / size, PROBE_SPACING) if sharp else PROBE_SPACING
+    fine = foci(planned, solid, pad, asked.least_mm or 0.0, under_probes) if focused else tips(planned, solid, size * asked.pad_mm)
     finger = mesh_of(study, solid, fine, size, even)
     if coarse := _too_coarse(finger):
         tell(1.0, coarse)

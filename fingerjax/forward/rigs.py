@@ -157,13 +157,16 @@ def _receptor(measurement: Measurement) -> Receptor:
 
 LINE_SPACING = 0.2  # mm: a wedge is a singular line, its profile beside the load wants a few nodes to the millimetre
 PROBE_SPACING, WIDE = 0.25, 2.0  # of the probe's radius; of the pad's spacing, from which radius on that spacing is fine enough
+PROBE_CORE, SOON = 0.8, 1.5  # of the radius, and growth: a finer patch under a probe
 SPHERE_SPACING = 0.1  # of the radius of a ball's contact, where the pad's own spacing has no limit
 RECEPTOR_SPACING, RECEPTOR_PATCH = 0.25, 1.4  # of its depth: strain that deep varies over as much as the depth, along the skin and down
 
 
-def foci(planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: float = 0.0) -> tuple[Focus, ...]:
+def foci(
+    planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: float = 0.0, probe_spacing: float = PROBE_SPACING
+) -> tuple[Focus, ...]:
     """Where the mesh must be finer than the pad's own spacing, down to the `least`: under wedges, under probes smaller than it, and around
-    receptors; under balls too, where the pad's spacing may be anything (inf).
+    receptors; under balls too, where the pad's spacing may be anything (inf). `probe_spacing`: of a probe's radius.
     """
     found: dict[Focus, None] = {}
     for plan in planned:
@@ -174,12 +177,18 @@ def foci(planned: list[Plan], solid: AbstractSolid, pad_spacing: float, least: f
             if isinstance(plan.indenter, Line):
                 found[_line_focus(plan.indenter, solid, x, z, plan.deepest)] = None
             elif isinstance(plan.indenter, (Point, FlatCylinder)) and (radius := float(plan.indenter.radius)) < WIDE * pad_spacing:
-                found[Focus("point", z, _theta(solid, x, z), PROBE_SPACING * radius, radius, growth=1.0)] = None
+                found[_probe_focus(radius, z, _theta(solid, x, z), probe_spacing)] = None
             elif isinstance(plan.indenter, Sphere) and math.isinf(pad_spacing):
                 touching = _contact_radius(float(plan.indenter.radius), plan)
                 found[Focus("point", z, _theta(solid, x, z), SPHERE_SPACING * touching, touching, growth=1.0)] = None
     clipped = dict.fromkeys(dataclasses.replace(focus, size=max(focus.size, least)) for focus in found)
     return tuple(focus for focus in clipped if focus.size < pad_spacing)
+
+
+def _probe_focus(radius: float, z: float, theta: float, spacing: float) -> Focus:
+    """A patch as wide as the probe; a finer one is hardly wider than what a rounded probe touches at first, and ends soon."""
+    extent, growth = (PROBE_CORE * radius, SOON) if spacing < PROBE_SPACING else (radius, 1.0)
+    return Focus("point", z, theta, spacing * radius, extent, growth=growth)
 
 
 def _contact_radius(radius: float, plan: Plan) -> float:

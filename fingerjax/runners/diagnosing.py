@@ -23,12 +23,13 @@ from ..study import Diagnose, Study
 from .rows import labels_of
 from .subject import FingerSubject
 
-CHECKING = 45_000  # nodes of the finer one, at most, or a little more
+CHECKING = 50_000  # nodes of the finer one, at most
 GROWTH = 1.5  # power by which nodes grow as elements shrink, before it has been seen
 FINER = 0.35  # element size of the finer mesh over that of the mesh, where its nodes allow
 CLOSE = 0.8  # ratio of element sizes from which on the finer mesh tells too little
 TRIES = 3  # meshes on the way to one of the right number of nodes
-NEAR, ABOVE = 0.85, 1.1  # of the nodes that are allowed: enough, and not worth another mesh
+PROBES = ("point", "flat_cylinder")  # shapes of indenters under which the finer mesh is finer still
+NEAR = 0.85  # of the nodes that are allowed: enough
 HARDLY = 0.98  # share of the nodes that larger elements leave from which on layers and indenters ask for those, whatever is allowed
 
 
@@ -94,8 +95,8 @@ def subject_of(
     tell(0.7, "a finer mesh")
     finer = _finer(study, size, even) if FINER < CLOSE else size
     if finer < CLOSE * size:
-        fine = said(size=finer, even=even)
-        subject.refine(fine, refinement(finer / size, len(subject.base.mesh.nodes), len(fine.mesh.nodes)))
+        fine = said(size=finer, even=even, sharp=True)
+        subject.refine(fine, refinement(finer / size, len(subject.base.mesh.nodes), _alike(study, finer, even, len(fine.mesh.nodes))))
     return subject
 
 
@@ -106,6 +107,12 @@ def refinement(sizes: float, nodes: int, finely: int) -> float:
     return max(sizes, (nodes / finely) ** (1 / GROWTH))
 
 
+def _alike(study: Study, size: float, even: bool, nodes: int) -> int:
+    """Nodes of the finer mesh, which has so many, were it no finer under probes than elsewhere."""
+    probed = any(one.shape in PROBES for measurement in study.measurements for one in measurement.indenters.values())
+    return _nodes(study, size, even) if probed else nodes
+
+
 def parted(subject: FingerSubject, study: Study) -> AbstractSubject:
     """The subject, with an amount for each label of those effects that the study says differ, where they are asked for and can be seen."""
     per = (study.diagnose or Diagnose()).per
@@ -113,25 +120,29 @@ def parted(subject: FingerSubject, study: Study) -> AbstractSubject:
     return Apart(subject, labels) if labels else subject
 
 
-def _nodes(study: Study, size: float, even: bool, tell: Tell = unheard) -> int:
+def _nodes(study: Study, size: float, even: bool, tell: Tell = unheard, *, sharp: bool = False) -> int:
     """Of the mesh with elements of this size."""
-    return len(meshed(study, size=size, even=even, tell=tell)[1].nodes)
+    return len(meshed(study, size=size, even=even, sharp=sharp, tell=tell)[1].nodes)
 
 
 def _finer(study: Study, size: float, even: bool) -> float:
-    """The size of a finer mesh's elements: a third as large as those of the mesh, or as small as its nodes allow."""
-    nodes = _nodes(study, FINER * size, even)
-    return FINER * size if nodes <= ABOVE * CHECKING else _size(study, CHECKING, FINER * size, nodes, even)
+    """The size of a finer mesh's elements: a third as large as those of the mesh, or as small as its nodes allow.
+
+    Under a probe the coarse mesh may have no more than an element or two where it begins to touch, so that its error there says nothing of
+    what a mesh with elements a third as large has left: the finer one is as fine under probes as they need, whatever its size.
+    """
+    nodes = _nodes(study, FINER * size, even, sharp=True)
+    return FINER * size if nodes <= CHECKING else _size(study, CHECKING, FINER * size, nodes, even, sharp=True)
 
 
-def _size(study: Study, most: int, size: float, nodes: int, even: bool = True) -> float:
+def _size(study: Study, most: int, size: float, nodes: int, even: bool = True, *, sharp: bool = False) -> float:
     """The size of elements with which a mesh has at most about so many nodes, or as few as it can have, where one with elements of `size`
     has `nodes`.
     """
     power = GROWTH
     for number in range(TRIES):
         larger = size * (nodes / (0.95 * most)) ** (1 / power)
-        fewer = _nodes(study, larger, even)
+        fewer = _nodes(study, larger, even, sharp=sharp)
         if number and larger > size and fewer > HARDLY * nodes:  # the first may have been counted on a mesh of the other kind
             break
         fall = math.log(nodes / fewer)
