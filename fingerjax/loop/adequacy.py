@@ -1,13 +1,15 @@
-"""Does the model fit? Three tests that see different misfits, at levels that sum to alpha for the plain model: two fifths, two fifths, and
-one fifth.
+"""Does the model fit? Tests that see different misfits, three of the plain model, at levels that sum to alpha: two fifths, two fifths,
+and one fifth.
 
 The last is the strictest there, since what it sees is named: where nothing is missed and the model is rejected all the same, nothing is
-named then as a rule. What an explanation leaves is held against all of alpha by it; the levels sum to 9/5 of alpha then, and by chance
-the right explanation is refused in up to nine of a hundred where alpha is 0.05.
+named then as a rule. What an explanation leaves is held against all of alpha by it, and where there are several kinds of measurement
+these must agree on it: to that test the first two give half of theirs. The levels sum to 9/5 of alpha then, and by chance the right
+explanation is refused in up to nine of a hundred where alpha is 0.05.
 
     omnibus     |r|^2 along what can be predicted at all, J apart                         any misfit, weakly
     smooth      the same on the lowest cosines of every condition, made orthogonal to J       what bends slowly, well
     max-T       the largest score of the catalogue                            what the catalogue knows, best
+    agreement   the same on what lets kinds of measurement differ (`agreement`)   what is in one kind, and passes for an effect in all
 
 Where none of them rejects, effects that base parameters imitate nearly are refitted, and the largest fall is held against the third
 (`inquiry.Inquiry.bent`).
@@ -22,11 +24,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from .agreement import splits
 from .critical import Critical, critical
 from .refit import Optimum
 from .sample import Sample
@@ -36,13 +39,14 @@ from .subject import Family
 MODES = 30
 # Shares of alpha: what leads to a name must be rarer by chance than what says that something is missed.
 OMNIBUS, SMOOTH, LARGEST = 0.4, 0.4, 0.2
+AGREEMENT, BESIDE_IT = 0.4, 0.5  # of alpha, and what is left of the first two
 AGAINST = 1.0  # of alpha, what leads away from a name: an effect is enough only if it leaves no other one a significant score
 
 
 @dataclass(frozen=True)
 class Adequacy:
     """p values; `df` and `misfit`: degrees of freedom and sum of squares of what could have been predicted; `share`: of alpha, for the
-    largest score.
+    largest score. `agreement_p` is NaN where it is not asked: of the plain model, and of one kind of measurement.
     """
 
     omnibus_p: float
@@ -52,15 +56,27 @@ class Adequacy:
     misfit: float
     alpha: float = 0.05
     share: float = LARGEST
+    agreement_p: float = math.nan
 
     @property
     def rejected(self) -> bool:
-        return self.bends or self.resembles
+        return self.bends or self.resembles or self.disagrees
 
     @property
     def bends(self) -> bool:
         """Whether one of the two tests that know no effect rejects."""
-        return self.omnibus_p < OMNIBUS * self.alpha or self.smooth_p < SMOOTH * self.alpha
+        level = self.alpha * (BESIDE_IT if math.isfinite(self.agreement_p) else 1.0)
+        return self.omnibus_p < OMNIBUS * level or self.smooth_p < SMOOTH * level
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether kinds of measurement ask for different sizes of what explains them, or for different parameters beside it."""
+        return self.agreement_p < AGREEMENT * self.alpha
+
+    @property
+    def least_p(self) -> float:
+        """The smallest p value."""
+        return min(p for p in (self.omnibus_p, self.smooth_p, self.largest_p, self.agreement_p) if not math.isnan(p))
 
     @property
     def resembles(self) -> bool:
@@ -85,8 +101,10 @@ def look(best: Optimum, families: Sequence[Family], *, alpha: float, seed: int, 
     """
     ranking = rank(best, families, best.sample.subject.columns(best.raw, best.phi))
     predictable, smooth = bases(best)
-    law = critical(best.sample, ranking, predictable, smooth, alpha=alpha, seed=seed)
-    return Look(best, ranking, law, adequacy(best, ranking, law, predictable, smooth, explains))
+    apart = tuple(_orthonormal(columns) for columns in splits(best)) if explains else ()
+    law = critical(best.sample, ranking, predictable, smooth, apart, alpha=alpha, seed=seed)
+    seen = adequacy(best, ranking, law, predictable, smooth, explains)
+    return Look(best, ranking, law, replace(seen, agreement_p=law.agreement.p([_square(best, basis) for basis in apart])))
 
 
 def bases(best: Optimum) -> tuple[Float[np.ndarray, "sample a"], Float[np.ndarray, "sample b"]]:
@@ -102,8 +120,8 @@ def adequacy(
     smooth: Float[np.ndarray, "sample b"],
     explains: bool = False,
 ) -> Adequacy:
-    """The three tests at an optimum, by a law that need not be its own."""
-    misfit, bends = (float(np.sum((basis.T @ best.residual) ** 2)) for basis in (predictable, smooth))
+    """The tests that a plain model must pass, at an optimum, by a law that need not be its own."""
+    misfit, bends = (_square(best, basis) for basis in (predictable, smooth))
     largest = law.largest.p(ranking.largest_of_all if explains else ranking.largest) if ranking.blocks else 1.0
     share = AGAINST if explains else LARGEST
     return Adequacy(law.omnibus.p(misfit), law.smooth.p(bends), largest, float(predictable.shape[1]), misfit, law.alpha, share)
@@ -123,6 +141,10 @@ def modes(sample: Sample, count: int = MODES) -> Float[np.ndarray, "sample modes
                     column[inside[here]] = np.cos(math.pi * degree * place)
                     found.append(column)
     return sample.columns(np.stack(found[:count], axis=1)) if found else np.zeros((sample.size, 0))
+
+
+def _square(best: Optimum, basis: Float[np.ndarray, "sample k"]) -> float:
+    return float(np.sum((basis.T @ best.residual) ** 2))
 
 
 def _orthonormal(columns: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 An explanation stays in the set where
 
     a  Delta = RSS_0 - RSS_k > c_k^2                  it explains more than chance would, and what the mesh leaves
-    b  the three tests of adequacy pass with it       and leaves nothing to be explained, however small
+    b  the tests of adequacy pass with it             leaves nothing to be explained, however small, and suits all kinds of measurement
     c  held-out conditions are not worse by 9         it predicts what it has not seen
     d  it lies inside what is plausible
     e  somewhere it is larger than what any model is wrong by
@@ -93,11 +93,13 @@ class Explanation:
         """Why it is not in the set; nothing where it is."""
         if not self.best.settled:
             return self.best.reason
+        tests = self.look.adequacy
         said = [
             (not self.significant, "explains no more than chance would"),
             (not self.best.plausible, "runs to the end of what is plausible"),
             (not self.matters, "changes no measurement by more than any model is wrong by"),
-            (self.look.adequacy.rejected, "leaves something to be explained"),
+            (tests.bends or tests.resembles, "leaves something to be explained"),
+            (tests.disagrees, "is not the same to all kinds of measurement"),
             (not self.holds, "makes held-out conditions worse"),
         ]
         return "; ".join(why for true, why in said if true)

@@ -122,11 +122,12 @@ class EffectRecord:
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """p values of the three tests of adequacy."""
+    """p values of the tests of adequacy; of the last, whether kinds of measurement agree on an explanation, NaN where it is not asked."""
 
     omnibus_p: float
     smooth_p: float
     maxT_p: float
+    agreement_p: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def decide(
     share = members[0].eta if members else 0.0
     parts = _text(kind, members, noise, mesh, base, singles), _too_small(base, kind), _said_of(absorbed, kind)
     text = " ".join(part for part in parts if part)
-    return Verdict(kind, members, share, min(last.omnibus_p, last.smooth_p, last.largest_p), absorbed, text)
+    return Verdict(kind, members, share, last.least_p, absorbed, text)
 
 
 def with_nearest(verdict: Verdict, nearest: Explanation | None) -> Verdict:

@@ -88,7 +88,7 @@ def _model(found: Findings) -> record.ModelRecord:
 
 
 def _lof(tests: Adequacy) -> record.LackOfFit:
-    return record.LackOfFit(tests.omnibus_p, tests.smooth_p, tests.largest_p)
+    return record.LackOfFit(tests.omnibus_p, tests.smooth_p, tests.largest_p, tests.agreement_p)
 
 
 def _base(found: Findings) -> record.BaseRecord:

@@ -166,7 +166,8 @@ def about_effects(record: Record) -> list[str]:
         "The right half says how small an effect these measurements could have shown (bar) and how large it seems (diamond), "
         "both as multiples of a plausible size. A bar beyond 3 means that no effect of credible size would have been seen here.",
         "A high score is a suspicion. What decides is the fit made anew with the effect in it, in the table below the picture: it must "
-        "remove the misfit, leave nothing that another effect would explain, keep to a plausible size, and not spoil conditions held out.",
+        "remove the misfit, leave nothing that another effect would explain, be the same to all kinds of measurement, keep to a plausible "
+        "size, and not spoil conditions held out.",
     ]
 
 
