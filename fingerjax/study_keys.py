@@ -257,7 +257,7 @@ Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 FORM = {"deflection_profile": 0.01, "force_displacement": 0.01, "spike_rate": 0.1}
 PLACEMENT = 0.2  # mm
 NODES = 10_000
-PAIRS, TOGETHER = 6, 4
+PAIRS, TOGETHER = 3, 4
 
 
 class FormKeys(Strict):
