@@ -142,6 +142,7 @@ def test_what_a_law_adds_is_checked_on_the_finer_mesh(tmp_path: Path, monkeypatc
     assert subject.finer(raw, law) is None
 
 
+@pytest.mark.slow
 def test_a_law_that_moves_has_its_slope_at_the_null_too(tmp_path: Path) -> None:
     """A search that comes to the null of a law would else end there, as if more of it changed nothing."""
     subject = FingerSubject(assemble(laboratory(tmp_path, "contact_offset", 0.0)), chosen(("strain_stiffening",), catalogue()))

@@ -29,6 +29,8 @@ from .diagnosis_records import record
 NAMES = tuple(studies_of.studies())
 FINGERS = ("fingerpad", "table1", "bar", "spheres")
 """Those of them that are tried here; of the others another file says how far they go."""
+ONE_OF_EACH = ("bar", "mouse_relaxation", "silicone", "lag")
+"""A finger, mouse skin, silicone and forces that lag: tried each time, and all others with the slow tests."""
 SHARED = tuple(name for name in FINGERS if name != "table1")
 """Those whose data are not beside them."""
 
@@ -64,7 +66,7 @@ def test_a_study_reads_its_data(name: str, measured: Path, monkeypatch: pytest.M
 
 
 def test_every_study_of_every_file_is_a_part() -> None:
-    assert set(FINGERS) <= set(NAMES) and {"lag", "mouse_relaxation", "silicone"} <= set(NAMES)
+    assert {*FINGERS, *ONE_OF_EACH} <= set(NAMES)
 
 
 def test_ratios_of_table_1_are_the_published_ones(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,7 +129,7 @@ def test_a_run_renews_its_own_section_and_leaves_the_others(tmp_path: Path, monk
     assert list(sections(again)) == ["mouse_relaxation", "silicone", "lab"] and "Not run" not in again
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name if name in ONE_OF_EACH else pytest.param(name, marks=pytest.mark.slow) for name in NAMES])
 def test_a_thinned_study_goes_all_the_way_to_the_page(name: str, measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FINGERJAX_DATA", str(measured))
     monkeypatch.setattr(studies_of, "FEW", ("contact_offset", "rate_adaptation", "rate_saturation"))

@@ -61,7 +61,7 @@ def load(folder, text, **more):
 
 def test_a_study_says_how_far_a_diagnosis_goes(folder):
     said = next(iter(load(folder, STUDY).values())).diagnose
-    assert (said.nodes, said.reach) == (10_000, Reach(6, 4))
+    assert (said.nodes, said.reach) == (10_000, Reach(3, 4))
     said = next(iter(load(folder, STUDY + "  nodes: 5000\n  pairs: 1\n  together: 2\n").values())).diagnose
     assert (said.nodes, said.reach) == (5000, Reach(pairs=1, together=2))
     with pytest.raises(InputError, match="nodes"):
