@@ -147,7 +147,7 @@ class Effect:
         """The internal force (n, 3), N, per unit of the effect at its null: of Lame parameters (2, layers), a displacement (n, 3), mm, and
         the forces (n, 3), N, that hold it in the body without the effect, reactions of supports among them.
 
-        None where the difference between two bodies says it, as it does unless the null is a support that does not give at all.
+        None where another model says it: the difference between two bodies, or a secant where that tells more than the slope at the null.
         """
         return None
 
