@@ -156,7 +156,7 @@ def test_columns_are_there_for_every_effect_and_small_ones_follow_them(subject: 
 
 
 def test_what_a_nail_bed_would_leave_is_what_a_plausible_one_leaves(ready: Assembled) -> None:
-    """Which the slope at the null is not, four to six times as large: a bed that hardly gives does so at the rim of the nail alone."""
+    """Which the slope at the null is not, which is several times as large: a bed that hardly gives does so at the rim of the nail alone."""
     subject = FingerSubject(ready, tuple(effect for effect in catalogue() if effect.name == "nail_compliance"))
     raw = start(subject)
     column, base = subject.columns(raw)["nail_compliance.compliance"], subject.evaluate(raw, {}, ()).prediction
