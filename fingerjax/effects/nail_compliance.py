@@ -17,7 +17,7 @@ class NailCompliance(Effect):
     acts_on = "support"
     leaves = "The whole finger gives way under flat and deep loads, and profiles sink as a whole; gentle and sharp loads hardly notice."
     confused_with = "bed_compliance, apparatus_compliance, deep_poisson."
-    # A bed that hardly gives does so at the rim of the nail alone, where tractions are largest: the slope at the null says nothing of others.
+    # A bed that hardly gives does so at the rim of the nail alone, where tractions are largest: the slope there tells nothing of others.
     parameters = (Size("compliance", "mm/MPa", 75.0, 0.0, 225.0, sign=1, step=10.0),)
 
     def lacking(self, finger: Finger) -> str | None:
