@@ -26,14 +26,14 @@ from fingerjax.mesh.jacobian import relaxed
 from fingerjax.mesh.nested import nested
 from fingerjax.mesh.quality import figures
 from fingerjax.mesh.refine import Focus, refine
-from fingerjax.mesh.smooth import outlined, smoothed
+from fingerjax.mesh.smooth import outlined, smoothed, worst_of
 from fingerjax.mesh.surface import Resolution, is_surface, skin_triangles
 from fingerjax.mesh.topology import divided, edges, quadratic, quadratic_triangles
 
 __all__ = ["PAPER", "Focus", "Resolution", "build_finger", "build_like", "cache_dir", "ladder"]
 
 DEFAULT = Resolution()
-MESHER = "columns 2"  # part of every key: raise it when the same input would give another mesh
+MESHER = "columns 3"  # part of every key: raise it when the same input would give another mesh
 NESTED = "nested 2"
 PAPER = {"monkey": Resolution(), "monkey fine": Resolution(0.17, 1.0), "human": Resolution(0.9)}  # about 8,500, 29,000 and 8,500 nodes
 TRIES = 5  # triangulations of a skin before it is given up
@@ -101,15 +101,20 @@ def _carried(solid: LayeredSolid, model: LayeredSolid, resolution: Resolution, k
 def _skin(solid: LayeredSolid, resolution: Resolution, base: str) -> Arrays:
     """The triangulated skin of a solid, kept.
 
-    Coarse triangles may touch each other; as pytetwild never makes the same ones twice, it is asked again.
+    Coarse triangles may touch each other, or turn over where the nail's rim cuts them; as pytetwild never makes the same ones twice, it is
+    asked again. The best of all is taken where one of each is turned over, or reaches round a quarter of the finger.
     """
 
     def skin() -> Arrays:
-        rays = Rays(solid)
+        rays, best, least = Rays(solid), None, -np.inf
         for _ in range(TRIES):
             points, triangles = outlined(rays, *smoothed(rays, *skin_triangles(solid, resolution)))
-            if is_surface(triangles):
-                return {"points": points, "triangles": triangles}
+            if is_surface(triangles) and (worst := worst_of(rays, points, triangles)) > least:
+                best, least = {"points": points, "triangles": triangles}, worst
+            if least > 0.0:
+                break
+        if best is not None:
+            return best
         raise InputError(
             "the skin could not be triangulated: parts of it touch each other",
             place="resolution",

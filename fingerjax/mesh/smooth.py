@@ -2,7 +2,8 @@
 
 A column's elements are as good as its triangle on every shell. Towards the bone triangles are squeezed around
 the finger and not along it, so a triangle that is fair on the skin may be a needle on the bone. The quality
-used here is therefore the product of the qualities on the skin and on the bone.
+used here is therefore the product of the qualities on the skin and on the bone; and of how round the finger stays:
+an edge that is seen under a right angle from the bone cuts off so much of the finger that it cannot be refined.
 """
 
 from __future__ import annotations
@@ -30,13 +31,22 @@ def _shells(rays: Rays, feet: np.ndarray) -> np.ndarray:
 
 
 def _quality(shells: np.ndarray, triangles: np.ndarray, turning: bool = False) -> np.ndarray:
-    """Quality on both shells; with `turning`, -1 where a triangle looks towards the bone."""
-    quality = triangle_quality(shells[0][triangles]) * triangle_quality(shells[1][triangles])
+    """Quality on both shells, times the cosine of the widest angle between two of a triangle's rays, 0 from a right angle on; with
+    `turning`, -1 where a triangle looks towards the bone.
+    """
+    quality = triangle_quality(shells[0][triangles]) * triangle_quality(shells[1][triangles]) * _roundness(shells, triangles)
     if turning:
         a, b, c = (shells[0][triangles[:, i]] for i in range(3))
         down = (shells[1] - shells[0])[triangles].mean(axis=1)
         quality = np.where(np.einsum("fi,fi->f", np.cross(b - a, c - a), down) < 0, quality, -1.0)
     return quality
+
+
+def _roundness(shells: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Cosine of the widest angle between two of the three rays to a triangle's corners, `(f,)`, not below 0."""
+    ray = (shells[0] - shells[1])[triangles]
+    ray /= np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-300)
+    return np.clip(np.einsum("fij,fij->fi", ray, ray[:, [1, 2, 0]]).min(axis=1), 0.0, 1.0)
 
 
 def flipped(shells: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int]:
@@ -108,6 +118,11 @@ def outlined(rays: Rays, points: np.ndarray, triangles: np.ndarray, rounds: int 
     for _ in range(rounds):
         feet = _moved(rays, feet, triangles, still)
     return feet, triangles
+
+
+def worst_of(rays: Rays, points: np.ndarray, triangles: np.ndarray) -> float:
+    """Least quality of all triangles: not above 0 where one is turned over, or has an edge seen under a right angle from the bone."""
+    return float(_quality(_shells(rays, points), triangles, turning=True).min())
 
 
 def _moved(rays: Rays, feet: np.ndarray, triangles: np.ndarray, rim: np.ndarray) -> np.ndarray:
