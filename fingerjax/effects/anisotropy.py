@@ -21,7 +21,7 @@ class Anisotropy(Effect):
     acts_on = "tissue"
     leaves = "The dip under a wedge across the finger is wider along it than one modulus for all directions allows."
     confused_with = "stratum_corneum, epidermis_thickness."
-    parameters = (Size("fibres", "1", 0.75, -0.4, 2.25, step=0.1),)
+    parameters = (Size("fibres", "1", 0.75, -0.4, 2.25),)
 
     def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         fibres = float(amount["fibres"])

@@ -21,7 +21,7 @@ class BoneOffset(Effect):
     acts_on = "finger"
     leaves = "Deep and flat indentations feel the bone too late or too early; shallow and sharp ones do not notice."
     confused_with = "the moduli of adipose tissue and fibrous matrix, strain_stiffening."
-    parameters = (Size("dorsal", "mm", 0.4, -1.0, 1.0, step=0.1),)
+    parameters = (Size("dorsal", "mm", 0.4, -1.0, 1.0),)
 
     def lacking(self, finger: Finger) -> str | None:
         return None if finger.bone.any() else "the body has no bone"

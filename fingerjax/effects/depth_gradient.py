@@ -22,7 +22,7 @@ class DepthGradient(Effect):
     acts_on = "tissue"
     leaves = "Stations far from the load, and deep indentations, disagree with near and shallow ones about the deep layers."
     confused_with = "the moduli of adipose tissue and fibrous matrix, bone_offset."
-    parameters = (Size("gradient", "1", 0.35, -0.9, 0.9, step=0.1),)
+    parameters = (Size("gradient", "1", 0.35, -0.9, 0.9),)
 
     def lacking(self, finger: Finger) -> str | None:
         deep = (finger.layer >= DERMIS_INNER) & (finger.layer < BONE)

@@ -19,7 +19,7 @@ class DermisThickness(Effect):
     acts_on = "finger"
     leaves = "Sharp indenters and flat ones disagree about how stiff the skin is; the skin's dip beside the load is too wide or too narrow."
     confused_with = "epidermis_thickness, depth_gradient; the modulus of the dermis takes most of it up."
-    parameters = (Size("share", "1", 0.25, -0.6, 0.75, step=0.05),)
+    parameters = (Size("share", "1", 0.25, -0.6, 0.75),)
 
     def lacking(self, finger: Finger) -> str | None:
         return None if {LAYER, LAYER + 1} <= set(finger.layer.tolist()) else "the body has not both layers whose border would move"

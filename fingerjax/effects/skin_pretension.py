@@ -16,7 +16,7 @@ class SkinPretension(Effect):
     acts_on = "tissue"
     leaves = "The dip beside the load is wider than any stiffness of the layers makes it."
     confused_with = "stratum_corneum, epidermis_thickness."
-    parameters = (Size("tension", "N/mm", 0.005, 0.0, 0.02, sign=1, step=0.001),)
+    parameters = (Size("tension", "N/mm", 0.005, 0.0, 0.02, sign=1),)
 
     def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         pull = float(amount["tension"])

@@ -18,7 +18,8 @@ class StratumCorneum(Effect):
     acts_on = "tissue"
     leaves = "The skin bridges over sharp indenters: their dip is wider, while flat ones are hardly stiffer."
     confused_with = "epidermis_thickness, anisotropy; the modulus of the epidermis takes most of it up."
-    parameters = (Size("membrane_stiffness", "N/mm", 0.05, 0.0, 0.15, sign=1, step=0.005),)
+    # A weak film follows the skin; a stiff one bridges over it, which the slope at none does not tell.
+    parameters = (Size("membrane_stiffness", "N/mm", 0.05, 0.0, 0.15, sign=1, step=0.02),)
 
     def support(self, body: Body, finger: Finger, solid: AbstractSolid, amount: Amount) -> Body:
         stiffness = float(amount["membrane_stiffness"])

@@ -26,6 +26,7 @@ from ..fem.operator import spring_force
 from ..fem.slopes import distinct
 from ..fem.stiffness import held_by
 from ..fem.tissue import AbstractTissue, Linear
+from ..side_by_side import side_by_side
 from .model import Assembled, Model
 from .pressing import Known, settle_with
 from .readings import Instruments
@@ -40,7 +41,7 @@ class Beside(NamedTuple):
     """Another `body` with the same skin and supports, and the `step` of an effect to it.
 
     - `columns`: how much more its columns (3n, m) read per unit of the effect; None where they read the same.
-    - `elements`: whether its elements are others; else its springs are. `turned`: change (modes, n, 3) of the rigid motions of a carried
+    - `elements`, `springs`: whether they are others. `turned`: change (modes, n, 3) of the rigid motions of a carried
       bone per unit of the effect; None where there is none.
     """
 
@@ -48,7 +49,13 @@ class Beside(NamedTuple):
     step: float
     columns: sp.csc_matrix | None
     elements: bool
+    springs: bool
     turned: Float[Array, "modes nodes 3"] | None
+
+    @property
+    def pushes(self) -> bool:
+        """Whether it holds a displacement by other forces; else it is read otherwise, and no more."""
+        return self.elements or self.springs
 
     def reads(self, u: Float[np.ndarray, "k _"], m: int) -> Float[np.ndarray, "k m"]:
         """What all m columns read more of displacements (k, 3n), mm, per unit of the effect."""
@@ -57,25 +64,29 @@ class Beside(NamedTuple):
 
 def inner_slopes(model: Model, values: Values, lacking: Sequence[Force | Beside]) -> Float[Array, "rows d"]:
     """Slopes of every row, measurement after measurement, in amounts of internal forces that the linear model lacks, or towards bodies."""
-    forces = [_between(model.body, each) if isinstance(each, Beside) else each for each in lacking]
+    pushing = [number for number, each in enumerate(lacking) if not isinstance(each, Beside) or each.pushes]
+    those = [lacking[number] for number in pushing]
+    forces = [_between(model.body, each) if isinstance(each, Beside) else each for each in those]
     lames = [material.lame() for material in model.instruments.materials(values)]
     bodies = model.condensed(lames)
 
     def change(variant: int, condensed: AbstractCondensed, pushed: Float[Array, "k m"]) -> Array:
         once, which = distinct(np.asarray(pushed))
+        moved = np.zeros((len(once), len(lacking), model.columns.count))
         if len(once) == 0:
-            return jnp.zeros((0, len(forces), model.columns.count))
+            return jnp.asarray(moved)
         u = condensed.displacement(jnp.asarray(once))
-        found = [condensed.readings(_forces(forces, model.body, lames[variant], u[at : at + BLOCK])) for at in range(0, len(u), BLOCK)]
-        moved = -np.concatenate(found).reshape(len(u), len(forces), -1)
+        for at in range(0, len(u) if forces else 0, BLOCK):
+            found = condensed.readings(_forces(forces, model.body, lames[variant], u[at : at + BLOCK]))
+            moved[at : at + BLOCK, pushing] = -np.asarray(found).reshape(-1, len(forces), moved.shape[2])
         for number, each in enumerate(lacking):
             if isinstance(each, Beside):
                 moved[:, number] += each.reads(np.asarray(u).reshape(len(u), -1), moved.shape[2])
         return jnp.asarray(moved[which])
 
-    directions = jnp.zeros((len(lames), len(forces), *lames[0].shape))
+    directions = jnp.zeros((len(lames), len(lacking), *lames[0].shape))
     known = settle_with(model.instruments.rigs, bodies, directions, change, model.instruments.added, values)
-    return slopes_of(model.instruments, known, {name: jnp.asarray(value) for name, value in values.items()}, len(forces))
+    return slopes_of(model.instruments, known, {name: jnp.asarray(value) for name, value in values.items()}, len(lacking))
 
 
 def first_order(ready: Assembled, values: Values, effects: Sequence[tuple[Effect, float]]) -> Float[np.ndarray, " rows"]:
@@ -88,8 +99,11 @@ def first_order(ready: Assembled, values: Values, effects: Sequence[tuple[Effect
 def _forces(
     forces: Sequence[Force], body: Body, lame: Float[Array, "2 layers"], u: Float[Array, "k nodes 3"]
 ) -> Float[Array, "kd nodes 3"]:
-    held = [held_by(body, lame, each) for each in u]
-    return jnp.stack([force(lame, each, hold) for each, hold in zip(u, held, strict=True) for force in forces])
+    def of(each: Field) -> list[Array]:
+        held = held_by(body, lame, each)
+        return [force(lame, each, held).block_until_ready() for force in forces]
+
+    return jnp.stack([one for each in side_by_side(of, list(u)) for one in each])
 
 
 @eqx.filter_jit
@@ -165,8 +179,8 @@ def _slope_of_law(body: Body, law: Callable, null: Array, lame: Float[Array, "2 
 
 
 def beside(ready: Assembled, effects: Effects, step: float) -> Beside | None:
-    """The body of a study with other effects on it, and its receptors where they are then, `step` away from what it has; None where its
-    skin, its supports, its indenters or the layers of its receptors are others.
+    """The body of a study with other effects on it, and its receptors where they are then, `step` away from what it has; None where the
+    skin that is touched, its supports, its indenters or the layers of its receptors are others.
 
     **Raises** `ValueError` where an effect turns elements over.
     """
@@ -177,13 +191,13 @@ def beside(ready: Assembled, effects: Effects, step: float) -> Beside | None:
     finger = effects.shape(ready.mesh, ready.solid)
     finger = finger if bone == "elastic" else finger.without_bone()
     there = effects.support(body(finger, bone=bone, dilatation=here.dilatation), finger, ready.solid)
-    skin = np.unique(finger.skin)
-    if not np.array_equal(there.free, here.free) or not np.array_equal(finger.nodes[skin], ready.finger.nodes[skin]):
+    if not np.array_equal(there.free, here.free) or not ready.skin.is_alike(finger, ready.finger):
         return None
     laid = lay(planned, finger, there, ready.solid, ready.skin)
     if tuple(laid.receptor_layer.items()) != ready.model.instruments.receptor_layer:
         return None
     read = sp.csc_matrix(laid.columns - ready.model.columns.matrix())
     elements = not all(np.array_equal(getattr(there, part), getattr(here, part)) for part in ("weight_along", "inverse_along"))
+    springs = not eqx.tree_equal(there.springs, here.springs)
     turned = None if np.array_equal(there.modes, here.modes) else (there.modes - here.modes) / step
-    return Beside(there, step, read / step if abs(read).max() > 0 else None, elements, turned)
+    return Beside(there, step, read / step if abs(read).max() > 0 else None, elements, springs, turned)

@@ -291,9 +291,10 @@ def lay_out(
     solver: str | AbstractSolver = "auto",
     effects: Effects = NONE,
     dilatation: str = "pointwise",
+    beside: Assembled | None = None,
 ) -> Assembled:
     """A study on a mesh that is already there, with effects in it. `solver`: its kind, or that of a body with the same elements and
-    supports.
+    supports; `beside`: the study on the same mesh with others, whose skin serves where it is the same.
 
     **Raises** `ValueError` where an effect turns elements inside out.
     """
@@ -301,7 +302,8 @@ def lay_out(
     finger = effects.shape(finger, solid)
     finger = finger if bone == "elastic" else finger.without_bone()
     tissue = effects.support(body(finger, bone=bone, dilatation=dilatation), finger, solid)
-    return _instrumented(study, solid, whole, finger, tissue, wired, solver, effects)
+    skin = None if beside is None or beside.skin is None or not beside.skin.is_alike(finger, beside.finger) else beside.skin
+    return _instrumented(study, solid, whole, finger, tissue, wired, solver, effects, skin)
 
 
 def softened(ready: Assembled) -> Assembled:
@@ -316,7 +318,7 @@ def changed(ready: Assembled, effects: Effects) -> Assembled:
     """
     known = ready.model
     if effects.reshape or ready.effects.reshape:
-        return lay_out(ready.study, ready.solid, ready.mesh, known.wired, known.solver, effects, known.body.dilatation)
+        return lay_out(ready.study, ready.solid, ready.mesh, known.wired, known.solver, effects, known.body.dilatation, ready)
     return _instrumented(ready.study, ready.solid, ready.mesh, ready.finger, known.body, known.wired, known.solver, effects, ready.skin)
 
 

@@ -247,6 +247,11 @@ class Skin:
 
         return all(map(alike, self.planned, planned))
 
+    def is_alike(self, one: Finger, other: Finger) -> bool:
+        """Whether all of it is at the same place in two fingers that have the same elements."""
+        touched = np.unique(np.asarray(self.pad.nodes))
+        return np.array_equal(one.nodes[touched], other.nodes[touched])
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Laid:

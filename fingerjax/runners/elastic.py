@@ -19,6 +19,7 @@ from ..forward.model import Assembled
 from ..forward.readings import Prediction, Solved
 from ..loop.subject import Evaluation
 from ..parameters import Parameter
+from ..side_by_side import side_by_side
 from .families import family
 from .lawful import LawAlong
 from .rows import rows_of
@@ -66,6 +67,11 @@ class ElasticFinger:
         """Whether an effect may be in the internal force, or in where a receptor is, so that one linear answer gives its slope."""
         effect = self.effects[self.ways[key].family]
         return effect.passive and not effect.traced
+
+    def is_secant(self, key: str) -> bool:
+        """Whether it changes elements or supports, and its slope at the null vanishes or misleads."""
+        way = self.ways[key]
+        return way.step is not None and self.effects[way.family].reshapes
 
     def is_first_order(self, key: str) -> bool:
         return self.effects[self.ways[key].family].first_order
@@ -170,7 +176,8 @@ class ElasticFinger:
         model = self.variants.of(amounts)
         if not keys or model is None:
             return {}
-        found = {key: other for key in keys if (other := self._lacking(model, amounts, key)) is not None}
+        others = side_by_side(lambda key: self._lacking(model, amounts, key), keys)
+        found = {key: other for key, other in zip(keys, others, strict=True) if other is not None}
         if not found:
             return {}
         columns = inner_slopes(model.model, self.values(raw, amounts), list(found.values()))

@@ -83,8 +83,9 @@ class FingerSubject(AbstractSubject):
         base = self._value(raw, phi) if base is None else base
         if base is None:
             raise InputError("the model has no answer at its own optimum", place=self.name, remedy="see the fit's own report")
+        inner = [key for key in self.elastic.ways if self.elastic.is_inner(key) and not self.elastic.is_secant(key)]
         tangent_laws = [key for key, way in self.elastic.ways.items() if self.elastic.is_law(key) and way.step is None]
-        found |= self.elastic.inner_slopes(raw, phi, [*filter(self.elastic.is_inner, self.elastic.ways), *tangent_laws])
+        found |= self.elastic.inner_slopes(raw, phi, [*inner, *tangent_laws])
         rest = [key for key in self.elastic.ways if key not in found]
         for number, key in enumerate(rest):
             self.tell(number / len(rest), f"what {self.elastic.ways[key].family} would leave")
