@@ -89,6 +89,13 @@ def test_at_the_null_of_a_shape_its_column_is_the_tangent(ready: Assembled) -> N
         assert np.linalg.norm(columns[key] - expected) < 2e-3 * np.linalg.norm(expected), key
 
 
+def test_slopes_of_what_a_law_adds_are_differences_in_what_moves(ready: Assembled) -> None:
+    """Of another body, and of what the indenter does."""
+    keys = ("dermis_thickness.share", "contact_offset.offset")
+    check(subject_with(ready, *keys, *LAW), LAW | {key: SIZES[key] for key in keys}, keys)
+
+
+@pytest.mark.slow
 def test_slopes_of_what_a_law_adds_are_differences_in_all_that_moves(ready: Assembled) -> None:
     keys = tuple(SIZES)
     check(subject_with(ready, *keys, *LAW), LAW | SIZES, keys)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
+from fingerjax.contact.indenter import Tilted
 from fingerjax.effects import Effect, catalogue, chosen
 from fingerjax.effects.added import Effects
 from fingerjax.effects.effect import ACTS_ON
@@ -168,12 +169,19 @@ def test_what_a_nail_bed_would_leave_is_what_a_plausible_one_leaves(ready: Assem
 
 def test_a_plate_may_lean_where_a_probe_does_not(ready: Assembled) -> None:
     tilt = next(effect for effect in catalogue() if effect.name == "indenter_tilt")
-    names, ends = ready.model.instruments.names, np.cumsum([0, *ready.model.instruments.lengths])
-    upright = read(ready)
+    names = ready.model.instruments.names
     for number, leaning in (("plate_pitch", ["plate", "held"]), ("probe_pitch", ["ramp"])):
-        moved = np.abs(read(ready, (tilt, tilt.null() | {number: 0.1})) - upright) > 1e-6
-        changed = [name for name, start, end in zip(names, ends, ends[1:], strict=False) if moved[start:end].any()]
-        assert changed == leaning
+        there = changed(ready, Effects((), ((tilt, tilt.null() | {number: 0.1}),))).model.instruments.rigs
+        assert [names[rig.measurement] for rig in there if isinstance(rig.indenter, Tilted)] == leaning
+
+
+@pytest.mark.slow
+def test_a_plate_that_leans_reads_otherwise_and_a_probe_does_not(ready: Assembled) -> None:
+    tilt = next(effect for effect in catalogue() if effect.name == "indenter_tilt")
+    names, ends = ready.model.instruments.names, np.cumsum([0, *ready.model.instruments.lengths])
+    moved = np.abs(read(ready, (tilt, tilt.null() | {"plate_pitch": 0.1})) - read(ready)) > 1e-6
+    read_otherwise = [name for name, start, end in zip(names, ends, ends[1:], strict=False) if moved[start:end].any()]
+    assert read_otherwise == ["plate", "held"]
 
 
 @pytest.mark.slow
