@@ -156,12 +156,13 @@ def test_columns_are_there_for_every_effect_and_small_ones_follow_them(subject: 
     assert np.abs((moved - base) / 0.01 - thicker).max() <= 0.05 * np.abs(thicker).max()
 
 
-def test_what_a_nail_bed_would_leave_is_what_a_plausible_one_leaves(ready: Assembled) -> None:
+@pytest.mark.parametrize("key", ["nail_compliance.compliance", pytest.param("bed_compliance.stiffness", marks=pytest.mark.slow)])
+def test_what_a_support_would_leave_is_what_a_plausible_one_leaves(ready: Assembled, key: str) -> None:
     """Which the slope at the null is not, which is several times as large: a bed that hardly gives does so at the rim of the nail alone."""
-    subject = FingerSubject(ready, tuple(effect for effect in catalogue() if effect.name == "nail_compliance"))
-    raw = start(subject)
-    column, base = subject.columns(raw)["nail_compliance.compliance"], subject.evaluate(raw, {}, ()).prediction
-    left = (subject.evaluate(raw, {"nail_compliance.compliance": 75.0}, ()).prediction - base) / 75.0
+    subject = FingerSubject(ready, tuple(effect for effect in catalogue() if effect.name == key.split(".")[0]))
+    raw, size = start(subject), subject.elastic.ways[key].scale
+    column, base = subject.columns(raw)[key], subject.evaluate(raw, {}, ()).prediction
+    left = (subject.evaluate(raw, {key: size}, ()).prediction - base) / size
     for rows in subject.rows.blocks.values():
         assert 1.0 < np.linalg.norm(column[rows]) / np.linalg.norm(left[rows]) < 2.5
         assert column[rows] @ left[rows] > 0.999 * np.linalg.norm(column[rows]) * np.linalg.norm(left[rows])
@@ -171,8 +172,9 @@ def test_a_plate_may_lean_where_a_probe_does_not(ready: Assembled) -> None:
     tilt = next(effect for effect in catalogue() if effect.name == "indenter_tilt")
     names = ready.model.instruments.names
     for number, leaning in (("plate_pitch", ["plate", "held"]), ("probe_pitch", ["ramp"])):
-        there = changed(ready, Effects((), ((tilt, tilt.null() | {number: 0.1}),))).model.instruments.rigs
-        assert [names[rig.measurement] for rig in there if isinstance(rig.indenter, Tilted)] == leaning
+        leant = Effects((), ((tilt, tilt.null() | {number: 0.1}),))
+        planned = [plan.changed(leant) for plan in rigs.plans(ready.study.measurements, ready.solid, ready.model.wired)]
+        assert [names[plan.index] for plan in planned if isinstance(plan.indenter, Tilted)] == leaning
 
 
 @pytest.mark.slow

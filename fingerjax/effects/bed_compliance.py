@@ -16,7 +16,8 @@ class BedCompliance(Effect):
     acts_on = "support"
     leaves = "The finger as a whole is stiffer, or softer, against loads near its cut end than against loads near its tip."
     confused_with = "nail_compliance, deep_poisson."
-    # The first bit of a bed does most of what a stiff one does: the slope at none at all is ten times what a plausible one leaves.
+    # The first bit of a bed does most of what a stiff one does: the slope at none at all foretells many times what a
+    # plausible one leaves.
     parameters = (Size("stiffness", "MPa/mm", 0.01, 0.0, 0.03, sign=1, step=0.005),)
 
     def lacking(self, finger: Finger) -> str | None:
