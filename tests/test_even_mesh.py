@@ -70,6 +70,9 @@ def test_a_small_probe_touches_nodes_of_an_even_mesh_however_coarse(tmp_path: Pa
     solid, mesh = meshed(one, size=5.3, even=True)
     under = solid.surface(np.array([SITE["z_mm"]]), np.array([1.5 * np.pi]))
     assert np.linalg.norm(mesh.nodes - under, axis=1).min() < 0.25
+    faces = mesh.nodes[mesh.skin[:, :3]]
+    edges = np.linalg.norm(faces - faces[:, [1, 2, 0]], axis=2).max(axis=1)
+    assert edges[np.linalg.norm(faces.mean(axis=1) - under, axis=1).argmin()] <= 2 * 0.35 * (1 + 1e-9)
 
 
 def longest_under_probe(one: Study, size: float, radius: float, *, sharp: bool) -> float:

@@ -37,7 +37,7 @@ MESHER = "columns 3"  # part of every key: raise it when the same input would gi
 NESTED = "nested 2"
 PAPER = {"monkey": Resolution(), "monkey fine": Resolution(0.17, 1.0), "human": Resolution(0.9)}  # about 8,500, 29,000 and 8,500 nodes
 TRIES = 5  # triangulations of a skin before it is given up
-REFINER = "chords 7"  # the same for refined meshes alone
+REFINER = "chords 8"  # the same for refined meshes alone
 
 
 def build_finger(

@@ -199,7 +199,31 @@ def _too_long(mesh: Columns, focus: tuple[Focus, ...], length: np.ndarray) -> np
         return np.zeros(len(soft), bool)
     corner = allowed_edge(mesh.rays.solid, focus, mesh.vertices)[mesh.tets].min(axis=1)
     middle = allowed_edge(mesh.rays.solid, focus, mesh.vertices[mesh.tets].mean(axis=1))
-    return soft & (length.max(axis=1) > np.minimum(corner, middle) * (1.0 + 1e-9))
+    wanted = soft & (length.max(axis=1) > np.minimum(corner, middle) * (1.0 + 1e-9))
+    for one in focus:
+        if one.kind == "tip":
+            wanted |= _under_tip(mesh, one)
+    return np.asarray(wanted)
+
+
+def _under_tip(mesh: Columns, tip: Focus) -> np.ndarray:
+    """`(e,)` bool: elements whose face in the skin has the tip's site in it, and an edge longer than is allowed there: the site may be far
+    from the face's corners and from the element's middle alike.
+    """
+    site = tip.sites(mesh.rays.solid)
+    corners = mesh.t[mesh.tets] == 0.0
+    element = np.flatnonzero(corners.sum(axis=1) == 3)
+    face = mesh.vertices[mesh.tets[element][corners[element]].reshape(-1, 3)]
+    centre = mesh.rays.axis(mesh.rays.aim(site[:, 2]))
+    a, b, c = np.swapaxes(face - centre, 0, 1)
+    to = np.broadcast_to(site - centre, a.shape)
+    volume = np.einsum("fi,fi->f", np.cross(a, b), c)
+    share = np.stack([np.einsum("fi,fi->f", np.cross(one, other), to) for one, other in ((b, c), (c, a), (a, b))], axis=1)
+    inside = (share * np.sign(volume)[:, None] >= -1e-9 * np.abs(volume)[:, None]).all(axis=1)
+    longest = np.linalg.norm(face - face[:, [1, 2, 0]], axis=2).max(axis=1)
+    out = np.zeros(len(mesh.tets), bool)
+    out[element] = inside & (longest > 2.0 * tip.size * (1.0 + 1e-9))
+    return out
 
 
 def _terminal(length: np.ndarray, of: np.ndarray, wanted: np.ndarray) -> np.ndarray:
