@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from fingerjax.contact.indenter import Tilted
 from fingerjax.effects import Effect, catalogue, chosen
 from fingerjax.effects.added import Effects
 from fingerjax.effects.effect import ACTS_ON
@@ -30,6 +29,7 @@ from fingerjax.geometry.presets import preset
 from fingerjax.layers import SOFT_LAYERS
 from fingerjax.mesh import Resolution, build_finger
 from fingerjax.mesh.jacobian import volumes
+from fingerjax.runners.families import family
 from fingerjax.runners.subject import FingerSubject
 
 from .helpers import DIFFERENCED, SAME_ARITHMETIC, Grade
@@ -168,13 +168,23 @@ def test_what_a_support_would_leave_is_what_a_plausible_one_leaves(ready: Assemb
         assert column[rows] @ left[rows] > 0.999 * np.linalg.norm(column[rows]) * np.linalg.norm(left[rows])
 
 
-def test_a_plate_may_lean_where_a_probe_does_not(ready: Assembled) -> None:
-    tilt = next(effect for effect in catalogue() if effect.name == "indenter_tilt")
-    names = ready.model.instruments.names
-    for number, leaning in (("plate_pitch", ["plate", "held"]), ("probe_pitch", ["ramp"])):
-        leant = Effects((), ((tilt, tilt.null() | {number: 0.1}),))
-        planned = [plan.changed(leant) for plan in rigs.plans(ready.study.measurements, ready.solid, ready.model.wired)]
-        assert [names[plan.index] for plan in planned if isinstance(plan.indenter, Tilted)] == leaning
+@pytest.mark.parametrize(
+    ("name", "acting"),
+    [
+        ("indenter_tilt", {"plate_pitch": ["plate", "held"], "probe_pitch": ["ramp"]}),
+        ("tip_radius", {"wedge_wider": ["wedge"], "probe_wider": ["ramp"]}),
+    ],
+)
+def test_instruments_err_each_on_their_own(ready: Assembled, name: str, acting: dict[str, list[str]]) -> None:
+    """A plate may lean where a probe does not, and a wedge be blunt; where only one of them was used only its number is asked for."""
+    effect = next(effect for effect in catalogue() if effect.name == name)
+    names, measurements = ready.model.instruments.names, {one.name: one for one in ready.study.measurements}
+    untouched = rigs.plans(ready.study.measurements, ready.solid, ready.model.wired)
+    for number, expected in acting.items():
+        there = Effects((), ((effect, effect.null() | {number: 0.1}),))
+        assert [names[plan.index] for plan in untouched if not eqx.tree_equal(plan.changed(there).indenter, plan.indenter)] == expected
+        assert [column.name for column in family(effect, [measurements[expected[0]]]).columns] == [number]
+    assert [column.name for column in family(effect, ready.study.measurements).columns] == list(acting)
 
 
 @pytest.mark.slow

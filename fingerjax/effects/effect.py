@@ -78,6 +78,10 @@ class Effect:
         """Why these measurements cannot show this effect, in words; None where they can."""
         return None
 
+    def unseen(self, data: Data) -> tuple[str, ...]:
+        """Those of its numbers that these measurements cannot show, though they show others."""
+        return ()
+
     def lacking(self, finger: Finger) -> str | None:
         """Why this body cannot show this effect, in words: a cylinder has no bone; None where it can."""
         return None

@@ -7,8 +7,8 @@ import dataclasses
 import jax.numpy as jnp
 
 from ..contact.indenter import FlatCylinder, FlatPlate, Point, Tilted
-from .effect import Amount, Effect, Size
-from .needs import flat_indenter
+from .effect import Amount, Data, Effect, Size
+from .needs import flat_indenter, has_shape
 from .records import Placed
 
 
@@ -24,6 +24,10 @@ class IndenterTilt(Effect):
     confused_with = "contact_offset, indenter_shift, finite_strain, anisotropy."
     parameters = (Size("plate_pitch", "rad", 0.05, -0.15, 0.15, step=0.05), Size("probe_pitch", "rad", 0.05, -0.15, 0.15, step=0.05))
     absent = staticmethod(flat_indenter)
+
+    def unseen(self, data: Data) -> tuple[str, ...]:
+        leaning = {"plate_pitch": ("flat_plate",), "probe_pitch": ("flat_cylinder", "point")}
+        return tuple(number for number, shapes in leaning.items() if not has_shape(data, shapes))
 
     def place(self, placed: Placed, amount: Amount) -> Placed:
         pitch = float(amount["plate_pitch" if isinstance(placed.indenter, FlatPlate) else "probe_pitch"])

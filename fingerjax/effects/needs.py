@@ -70,14 +70,14 @@ def not_swept(data: Data) -> str | None:
 
 
 def flat_indenter(data: Data) -> str | None:
-    return None if _has_shape(data, FLAT) else "no indenter is flat"
+    return None if has_shape(data, FLAT) else "no indenter is flat"
 
 
 def tip(data: Data) -> str | None:
-    return None if _has_shape(data, TIPS) else "no indenter has a sharp tip"
+    return None if has_shape(data, TIPS) else "no indenter has a sharp tip"
 
 
-def _has_shape(data: Data, shapes: tuple[str, ...]) -> bool:
+def has_shape(data: Data, shapes: tuple[str, ...]) -> bool:
     return any(spec.shape in shapes for one in data for spec in one.indenters.values())
 
 

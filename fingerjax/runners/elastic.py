@@ -40,7 +40,7 @@ class ElasticFinger:
         self.variants = Variants(ready, effects, solver, size, self.alike)
         self.parameters = self.base.problem().parameters
         self.rows = rows_of(ready.study)
-        self.families = tuple(family(effect) for effect in effects.values())
+        self.families = tuple(family(effect, ready.study.measurements) for effect in effects.values())
         self.ways = {column.key: column for family in self.families for column in (*family.columns, *family.second)}
 
     @property

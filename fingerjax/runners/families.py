@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from ..effects import Effect
 from ..effects.effect import Column as Way
+from ..effects.effect import Data
 from ..loop.subject import Column, Family
 
 REACH = 3.0  # plausible sizes from the null to the bounds
 
 
-def family(effect: Effect) -> Family:
-    columns = tuple(_column(effect, way) for way in effect.columns())
-    more = tuple(_column(effect, way) for way in effect.second())
+def family(effect: Effect, data: Data) -> Family:
+    """An effect's columns, without those that the data cannot show."""
+    unseen = effect.unseen(data)
+    columns = tuple(_column(effect, way) for way in effect.columns() if way.size.name not in unseen)
+    more = tuple(_column(effect, way) for way in effect.second() if way.size.name not in unseen)
     said = (effect.acts_on, effect.leaves, effect.confused_with)
     return Family(effect.name, columns, *said, more, dear=effect.is_law, comes_with=effect.comes_with)
 
