@@ -96,6 +96,7 @@ def test_a_finer_mesh_is_as_fine_under_a_probe_as_that_needs_whatever_its_size(t
     assert longest[True] <= 2 * SHARP * radius * (1 + 1e-9) < longest[False] <= 2 * size * PROBE_SPACING * radius * (1 + 1e-9)
 
 
+@pytest.mark.slow  # a diagnosis that is told its nodes looks for them too
 def test_elements_are_as_small_as_the_nodes_allow(tmp_path: Path) -> None:
     one = study(tmp_path, "rigid")
     whole = diagnosing._nodes(one, 1.0, True)
