@@ -16,6 +16,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -26,6 +27,12 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # programs that one file comp
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="fingerjax-programs-")
     atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+
+# Most of the time of these tests is that of the compiler, which has hundreds of small programs to make that run once or twice each: it is
+# asked for plain code, soon. Of other releases nobody knows whether they have these options, and one that has not breaks off.
+# `XLA_FLAGS= python -m pytest` runs on the code that users have, and `test_compiler.py` always does.
+if version("jaxlib").startswith("0.10."):
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 
 import jax
 import pytest

@@ -2,10 +2,15 @@
 
 On the CPU, jax 0.10.2 silently gives wrong numbers for a jitted `vmap(M @ v)` followed by a reduction once
 more than 16384 float64 rows go through it (jax issue 39103), and on some processors for `arctan` of 50 values
-and more (39352). How many rows show it depends on how the loop is shared out, hence several lengths.
+and more (39352). How many rows show it depends on how the loop is shared out, hence several lengths. The tests ask the
+compiler for plain code (`conftest.py`); these are run once more, in a process of their own, on the code that users have.
 """
 
 from __future__ import annotations
+
+import os
+import subprocess
+import sys
 
 import helpers
 import jax
@@ -57,3 +62,11 @@ def test_elementary_functions_of_long_arrays_are_what_numpy_makes_of_them(functi
     arguments = (values, 5.0 - values) if function == "arctan2" else (values,)
     found = jax.jit(getattr(jnp, function))(*arguments)
     helpers.SAME_ARITHMETIC.check(found, getattr(np, function)(*arguments))
+
+
+@pytest.mark.skipif(os.environ.get("XLA_FLAGS") == "", reason="these are the compiler's own options")
+def test_all_of_this_holds_of_the_code_that_users_have() -> None:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__]
+    done = subprocess.run(command, env=os.environ | {"XLA_FLAGS": ""}, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert f"{2 * len(ELEMENTS) + 8} passed, 1 skipped" in done.stdout
