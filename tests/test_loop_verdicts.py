@@ -13,7 +13,7 @@ from loop_toy import FAMILIES, GRID, TRUE, UNITS, Toy, predicted
 from fingerjax.errors import InputError
 from fingerjax.loop import diagnosis, inquiry
 from fingerjax.loop.diagnosis import diagnose, investigate
-from fingerjax.loop.explanations import ahead_of, passed_over
+from fingerjax.loop.explanations import Explanation, ahead_of, passed_over
 from fingerjax.loop.inquiry import FAMILIES as REFITTED
 from fingerjax.loop.inquiry import Inquiry, starts
 from fingerjax.loop.meshguard import RHO, MeshGuard, share_left
@@ -22,7 +22,7 @@ from fingerjax.loop.record import Diagnosis
 from fingerjax.loop.refit import Optimum, forget, optimum
 from fingerjax.loop.score import POWER, rank
 from fingerjax.loop.subject import NONE, Column, Evaluation, Family
-from fingerjax.loop.verdict import decide, out_of_the_mesh
+from fingerjax.loop.verdict import Verdict, decide, out_of_the_mesh
 from fingerjax.loop.writing import written
 from fingerjax.parameters import Parameter
 from fingerjax.report import loop_tables
@@ -151,6 +151,31 @@ def test_two_effects_are_named_beside_one_that_is_enough_where_they_are_far_ahea
         assert said.members == ((both, imitator) if kind == "ambiguous" else (imitator,))
 
 
+def test_no_explanation_is_named_alone_where_one_that_fits_better_is_refused_by_hardly_anything() -> None:
+    toy = Toy(truth={"contact_offset.offset": 0.04, "spontaneous_rate.rate": 6.0})
+    found = investigate(toy, seed=0, effects="all", alpha=0.05, sets=0, tell=lambda share, what: None, kept=forget)
+    named = next(one for one in found.explanations if one.in_set)
+
+    def refused(p: float, fits: float, passes: dict[str, float]) -> Explanation:
+        """Another pair, of `fits` times the sum of squares, whose residual looks like an effect as it does by chance once in 1 / `p`."""
+        best = dataclasses.replace(named.best, residual=math.sqrt(fits) * named.best.residual)
+        adequacy = dataclasses.replace(named.look.adequacy, largest_p=p, **passes)
+        look = dataclasses.replace(named.look, best=best, adequacy=adequacy)
+        one = dataclasses.replace(named, families=("camera_scale", "rate_power_law"), look=look)
+        assert one.sound and not one.in_set
+        return one
+
+    def said(other: Explanation) -> Verdict:
+        return decide(found.noise, found.mesh, found.base, [], [other, named], ())
+
+    better = refused(0.03, 0.98, {})
+    assert said(better).kind == "ambiguous" and said(better).members == (better, named)
+    others = ((0.03, 1.02, {}), (0.009, 0.98, {}), (0.03, 0.98, {"agreement_p": 0.01}), (0.03, 0.98, {"smooth_p": 0.001}))
+    for other in (refused(*one) for one in others):
+        assert said(other).kind == "two effects" and said(other).members == (named,)
+    assert decide(found.noise, found.mesh, found.base, [], [better], ()).kind == "unexplained", "nothing is enough without it"
+
+
 def _ripple() -> np.ndarray:
     return np.concatenate([np.zeros(52), 0.006 * np.sin(3 * np.log(GRID["plate"][1]["time"])), np.zeros(22)])
 
@@ -217,19 +242,20 @@ def test_a_misfit_unlike_the_error_of_the_mesh_is_not_the_mesh_s() -> None:
     )
     assert coarse.mesh.guilty(math.inf) and coarse.mesh.alike > 0.9
     assert missing.base.adequacy.rejected and missing.mesh.alike < 0.5
-    far = dataclasses.replace(missing.mesh, excess=30.0, reach=2 * missing.mesh.misfit)
+    far = dataclasses.replace(missing.mesh, excess=30.0, drowned=30.0, reach=2 * missing.mesh.misfit)
     assert far.blind and not far.guilty(3.0) and dataclasses.replace(far, alike=0.9).guilty(math.inf)
     assert decide(missing.noise, far, missing.base, [], [], ()).kind == "unexplained"
     # Where the mesh is that coarse, and its error would make as much, nothing can be said of the misfit's shape.
     coarser = dataclasses.replace(far, reach=4.1 * missing.mesh.misfit)
-    assert coarser.guilty(3.0) and not coarser.guilty(6.0) and not dataclasses.replace(coarser, excess=5.0).guilty(3.0)
+    assert coarser.guilty(3.0) and not coarser.guilty(6.0) and not dataclasses.replace(coarser, drowned=5.0).guilty(3.0)
     assert decide(missing.noise, coarser, missing.base, [], [], ()).kind == "mesh-limited"
 
 
 def test_a_finer_mesh_that_is_hardly_finer_shows_less_of_an_error_than_it_leaves() -> None:
     size, error, p = (1.0, 2.0 / 3.0), 3.0, 1.0  # D is f_(s h) - f_h, where errors are error * size^p
     corrected, left = error * (size[0] ** p - size[1] ** p), error * size[1] ** p
-    mesh = MeshGuard(np.zeros(1), np.zeros((1, 1)), 30.0, np.zeros(1), np.zeros(1), reach=4 * corrected**2, rho=share_left(2.0 / 3.0))
+    reach, rho = 4 * corrected**2, share_left(2.0 / 3.0)
+    mesh = MeshGuard(np.zeros(1), np.zeros((1, 1)), 30.0, np.zeros(1), np.zeros(1), reach=reach, rho=rho, drowned=30.0)
     assert mesh.as_corrected == pytest.approx(corrected**2) and mesh.as_first_order == pytest.approx(left**2)
     half = dataclasses.replace(mesh, rho=share_left(0.5))
     assert half.as_first_order == pytest.approx(half.as_corrected) and share_left(0.5) == pytest.approx(RHO)
@@ -246,10 +272,14 @@ def test_where_nothing_is_missed_the_mesh_limits_no_more_than_it_could_hide() ->
     critical, score = found.base.critical.value, found.base.ranking.testable[0]
     assert found.mesh.checked and not found.base.adequacy.rejected
 
-    def kind(excess: float) -> str:
-        return decide(found.noise, dataclasses.replace(found.mesh, excess=excess), found.base, [], [], ()).kind
+    def kind(drowned: float) -> str:
+        return decide(found.noise, dataclasses.replace(found.mesh, drowned=drowned), found.base, [], [], ()).kind
 
     assert kind(0.9 * critical**2) == "adequate" and kind(1.1 * critical**2) == "mesh-limited"
+    # Where little is left it is as strong in the noise alone; where much is, lambda counts only the settings that it drowns.
+    assert found.mesh.drowned == pytest.approx(found.mesh.excess, rel=0.05)
+    coarser = investigate(Toy(mesh=0.1, finer_has=0.5), seed=0, effects="all", alpha=0.05, sets=0, tell=lambda *_: None, kept=forget).mesh
+    assert coarser.hides(critical) and coarser.excess < 0.5 * coarser.drowned
     # What looks like an effect in what the mesh leaves makes the smallest that would have been seen larger by as much.
     alike = np.stack([2.0 * score.direction, np.zeros(len(score.direction))], axis=1)
     coarse = dataclasses.replace(found.mesh, shift=np.ones(found.mesh.shift.shape), remainder=alike)

@@ -74,6 +74,11 @@ class Adequacy:
         return self.agreement_p < AGREEMENT * self.alpha
 
     @property
+    def hardly(self) -> bool:
+        """Whether it is rejected for nothing but a likeness to some effect, and no rarer one by chance than the plain model may leave."""
+        return self.resembles and self.largest_p >= LARGEST * self.alpha and not self.bends and not self.disagrees
+
+    @property
     def least_p(self) -> float:
         """The smallest p value."""
         return min(p for p in (self.omnibus_p, self.smooth_p, self.largest_p, self.agreement_p) if not math.isnan(p))

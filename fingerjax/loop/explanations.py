@@ -7,6 +7,10 @@ An explanation stays in the set where
     c  held-out conditions are not worse by 9         it predicts what it has not seen
     d  it lies inside what is plausible
     e  somewhere it is larger than what any model is wrong by
+
+The right one fails b for what else its residual happens to look like in one of twenty diagnoses, and a wrong one may pass. To name that
+one alone while another fits better would say more than is known: beside explanations that stay, those of as many effects stay too that
+leave a smaller sum of squares than the best of them, unless b fails by what less than one in a hundred would leave by chance.
 """
 
 from __future__ import annotations
@@ -106,6 +110,15 @@ class Explanation:
 
     def bic(self, settings: int) -> float:
         return self.best.rss + self.best.jacobian.shape[1] * math.log(max(settings, 2))
+
+
+def remaining(those: list[Explanation]) -> tuple[Explanation, ...]:
+    """Of explanations by as many effects each, in their order, those that are enough, and those that fit better than each of these and
+    are refused by hardly anything.
+    """
+    least = min((one.best.rss for one in those if one.in_set), default=-math.inf)
+    better = [one.sound and one.look.adequacy.hardly and one.best.rss < least for one in those]
+    return tuple(one for one, fits in zip(those, better, strict=True) if one.in_set or fits)
 
 
 def ahead_of(others: list[Explanation]) -> float:

@@ -13,11 +13,12 @@ anywhere between (JCGM 100:2008, 4.3.7). Small effects are not to be named where
 
 A misfit is the mesh's own where lambda is too large, an error twice as large as D would make as much of it, since a mesh that converges in
 first order leaves as much as D where s is a half, and at least half of it looks like D and H. A mesh so coarse that what is expected to be
-left of D would pass for an effect by itself may err in another shape at every size of element: there any misfit is its own that is no
-larger than D and H would make, or s / (1 - s) of them where that is more, what first order leaves; unless an effect explains it. Where the
-gate fails an effect is named only if it explains more than chance and what may be left together: its score must exceed the critical value
-by what the remainder, of the shape of D and H, would score for it. The smallest effect that would have been seen is larger by as much;
-where the whole remainder could pass the critical value nothing is said.
+left would pass for an effect, were it not counted as noise, may err in another shape at every size of element: there any misfit is its own
+that is no larger than D and H would make, or s / (1 - s) of them where that is more, what first order leaves; unless an effect explains it.
+Where the gate fails an effect is named only if it explains more than chance and what may be left together: its score must exceed the
+critical value by what the remainder, of the shape of D and H, would score for it. The smallest effect that would have been seen is larger
+by as much. Where nothing is missed, and the remainder without Sigma_disc in the noise would pass the critical value, nothing is said: with
+it in the noise data of such a mesh fit whatever they miss, and lambda, which has it there, counts no more than the settings that it drowns.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class MeshGuard:
     - `offset` (rows,): D. `left` (rows, rows): Sigma_disc.
     - `reach`: misfit, in the noise alone, that an error of twice D would make, `misfit` what there is above chance, and `alike` the share
       of that which D and H would take away.
-    - `remainder` (sample, 2): Q L^-1 rho D and Q L^-1 H / sqrt 3. `excess`: lambda.
+    - `remainder` (sample, 2): Q L^-1 rho D and Q L^-1 H / sqrt 3. `excess`: lambda. `drowned`: the same in the noise alone.
     - `shift` (p,): of the raw parameters in standard deviations; `raw_shift` (p,): the same in raw numbers.
     """
 
@@ -94,6 +95,7 @@ class MeshGuard:
     alike: float = 1.0
     rho: float = RHO
     checked: bool = True
+    drowned: float = 0.0
     remainder: Float[np.ndarray, "sample 2"] | None = None
 
     @property
@@ -106,8 +108,8 @@ class MeshGuard:
         return self.checked and self.excess > LARGEST_LAMBDA
 
     def hides(self, critical: float) -> bool:
-        """Whether what is left could look like an effect whose score chance does not reach, or undo the score of one."""
-        return self.checked and self.excess > critical**2
+        """Whether what is left, which is counted as noise, could hide an effect whose score chance does not reach."""
+        return self.checked and self.drowned > critical**2
 
     def guilty(self, critical: float) -> bool:
         """Whether the mesh could have made all of the misfit."""
@@ -188,8 +190,9 @@ def guard(best: Optimum, known: Correction, rho: float = RHO) -> MeshGuard:
     residual = projection(bare.residual(best.at, best.raw))
     misfit = float(np.sum(residual**2)) - (residual.size - projection.rank)
     alike = _taken(projection(bare.columns(np.stack([known.offset, known.softness], axis=1))), residual) / max(misfit, 1.0)
-    remainder = best.projection(whitened)
-    return MeshGuard(known.offset, left, float(np.sum(remainder**2)), shift, raw, reach, misfit, alike, rho, remainder=remainder)
+    remainder, drowned = best.projection(whitened), _size(projection, bare.columns(may_be))
+    excess = float(np.sum(remainder**2))
+    return MeshGuard(known.offset, left, excess, shift, raw, reach, misfit, alike, rho, drowned=drowned, remainder=remainder)
 
 
 def _taken(columns: Float[np.ndarray, "sample k"], residual: Float[np.ndarray, "sample"]) -> float:

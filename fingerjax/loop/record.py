@@ -74,7 +74,8 @@ class MeshRecord:
 
     `misfit`: the squared misfit beyond the noise alone; `as_corrected`: what an error as large as the correction would make of it;
     `as_first_order`: what an error leaves that falls with the first power of the element size, at least that; `alike`: the share of the
-    misfit that looks like that error. NaN where the mesh was not checked.
+    misfit that looks like that error; `drowned`: what is expected to be left of the error would make, were it not counted as noise. NaN
+    where the mesh was not checked.
     """
 
     lambda_mesh: float
@@ -85,6 +86,7 @@ class MeshRecord:
     as_corrected: float = math.nan
     as_first_order: float = math.nan
     alike: float = math.nan
+    drowned: float = math.nan
     nodes: int | None = None
     h: float | None = None
     finer_nodes: int | None = None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from .adequacy import Look
-from .explanations import Explanation, ahead_of, main
+from .explanations import Explanation, ahead_of, main, remaining
 from .heldout import Foretold
 from .meshguard import MeshGuard
 from .noise import Noise
@@ -122,8 +122,8 @@ def _judge(
         if mesh.hides(base.critical.value):
             return MESH_LIMITED, ()
         return (ADEQUATE if noise.repeated else NOISE_UNKNOWN), ()
-    alone, below = tuple(one for one in singles if one.in_set), ahead_of(singles)
-    both = tuple(one for one in pairs if one.in_set and one.best.rss < below)
+    alone, below = remaining(singles), ahead_of(singles)
+    both = tuple(one for one in remaining(pairs) if one.best.rss < below)
     if alone:
         members = (*both, *alone)
         return (ATTRIBUTED if len(members) == 1 else AMBIGUOUS), members
@@ -159,7 +159,7 @@ def _text(
     if kind == MESH_LIMITED:
         return (
             "The mesh limits what can be said: what may be left of its error could look like a missing effect "
-            f"(excess misfit {mesh.excess:.2g}, largest shift of a parameter {_largest(mesh):.2g} standard errors). "
+            f"(it would add {mesh.drowned:.2g} to the squared misfit, and move a parameter by up to {_largest(mesh):.2g} standard errors). "
             "Nothing is named; refine the mesh."
         )
     if kind == UNEXPLAINED:

@@ -82,7 +82,7 @@ def _model(found: Findings) -> record.ModelRecord:
     told: dict[str, Any] = {key: about.get(key) for key in ("nodes", "h", "finer_nodes")} if isinstance(about, dict) else {}
     shift = {name: float(size) for name, size in zip(names, mesh.shift, strict=True)}
     contact = said.get("contact", {})
-    told |= {key: getattr(mesh, key) for key in ("misfit", "as_corrected", "as_first_order", "alike")} if mesh.checked else {}
+    told |= {key: getattr(mesh, key) for key in ("misfit", "as_corrected", "as_first_order", "alike", "drowned")} if mesh.checked else {}
     guarded = record.MeshRecord(mesh.excess, shift, mesh.rho, mesh.gate, **told)
     return record.ModelRecord(str(said.get("version", "")), guarded, dict(contact) if isinstance(contact, dict) else {})
 

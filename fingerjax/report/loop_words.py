@@ -254,6 +254,9 @@ def about_mesh(record: Record) -> list[str]:
             f"What the mesh may still add has strength {short(strength)} in squared units of noise; up to 1 it cannot be mistaken for "
             "an effect."
         )
+    drowned = number(mesh.get("drowned"))
+    if math.isfinite(drowned):
+        said.append(f"In the noise of the measurements alone, of which it is no part, that strength would be {short(drowned)}.")
     misfit, made, slowly, alike = (number(mesh.get(name)) for name in ("misfit", "as_corrected", "as_first_order", "alike"))
     if misfit > 0 and made > 0:
         more = f" ({short(slowly)} if the mesh converges in first order only)" if slowly > made else ""
