@@ -159,7 +159,7 @@ def _text(
     if kind == MESH_LIMITED:
         return (
             "The mesh limits what can be said: what may be left of its error could look like a missing effect "
-            f"(it would add {mesh.drowned:.2g} to the squared misfit, and move a parameter by up to {_largest(mesh):.2g} standard errors). "
+            f"(it would add {mesh.drowned:.3g} to the squared misfit, and move a parameter by up to {_largest(mesh):.2g} standard errors). "
             "Nothing is named; refine the mesh."
         )
     if kind == UNEXPLAINED:
