@@ -17,7 +17,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -132,11 +132,17 @@ def figures(found: Sequence[score.Outcome], broken: Sequence[str]) -> list[Figur
 
 
 def mesh_figures(folder: Path, *, thin: bool) -> Iterator[Figure]:
-    """What is left of mesh error in the noise-free readings: their change on bricks that are 1.4 times as long."""
+    """What is left of mesh error in the noise-free readings: their change on bricks that are 1.4 times as long, and on bricks that are no
+    shorter under wedges than elsewhere."""
     truths = Truths(folder / "mechanics", thin, tell=_say)
+    cuts: dict[str, Callable[[Any], Any]] = {
+        "coarser bricks": lambda cut: cut.scaled(COARSER),
+        "bricks as long under wedges as elsewhere": lambda cut: cut.blunted(),
+    }
     for finger in ("human", "monkey"):
-        for name, (most, mean) in truths.coarser(finger, COARSER).items():
-            yield Figure(f"{finger}, {name}: change of the truth on coarser bricks", 100 * mean, "%", note=f"largest {100 * most:.2g} %")
+        for words, cut in cuts.items():
+            for name, (most, mean) in truths.recut(finger, cut, words).items():
+                yield Figure(f"{finger}, {name}: change of the truth on {words}", 100 * mean, "%", note=f"largest {100 * most:.2g} %")
 
 
 def _figure(line: score.Line) -> Figure:

@@ -12,6 +12,8 @@ import yaml
 from fingerjax.runners.rows import rows_of
 from fingerjax.study import load_studies
 from tests.blind import bricks, folders, truths
+from tests.blind.flesh import midline
+from tests.blind.instruments import along
 from tests.blind.laboratory import Profiles
 from tests.blind.protocol import Elastic, Rig, Sweep, Trace, elastic
 from tests.blind.scenarios import EFFECTS, KINDS, SCENARIOS
@@ -56,6 +58,41 @@ def test_every_finger_can_be_meshed_and_holds_its_receptors(thin):
         bricks.gradients(mesh.nodes[mesh.bricks], 2)
         for which in range(len(flesh.receptors)):
             assert mesh.layer[bricks.locate(mesh, np.array(flesh.receptor(which)))[0]] == 1
+
+
+@pytest.mark.parametrize("finger", ["human", "monkey"])
+def test_bricks_under_a_wedge_are_as_short_as_its_tip_is_wide(finger):
+    flesh = SCENARIOS[f"none_{finger}"].world().flesh
+    mesh = flesh.mesh()
+    ends = mesh.nodes[midline(mesh), 2][::2] - flesh.finger.site
+    lengths, middles = np.diff(ends), 0.5 * (ends[1:] + ends[:-1])
+    under = int(np.abs(middles).argmin())
+    assert middles[under] == pytest.approx(0.0, abs=1e-9)
+    assert lengths[under] == lengths.min() == pytest.approx(0.05)
+    beside = lengths[np.abs(middles) < flesh.divisions.reach]
+    assert np.abs(np.diff(np.log(beside))).max() < np.log(2.5)
+
+
+def test_bricks_cut_otherwise_leave_layers_as_they_are():
+    flesh = SCENARIOS["none_human"].world(thin=True).flesh
+    cut = replace(flesh, divisions=replace(flesh.divisions, epidermis=(0.45, 0.75, 0.92, 1.0)))
+    even, uneven = (volumes(one.mesh()) for one in (flesh, cut))
+    assert np.allclose(even, uneven, rtol=1e-3)
+
+
+def test_a_wedge_on_bricks_of_its_own_size_takes_less_of_the_skin_along():
+    world = SCENARIOS["none_monkey"].world(thin=True)
+    sharp = replace(world.flesh, divisions=replace(world.flesh.divisions, sharp=0.05, epidermis=(0.45, 0.75, 0.92, 1.0)))
+    wide, narrow = (elastic(flesh, world.rig, world.records[:1]) for flesh in (world.flesh, sharp))
+    beside = np.array([0.5, 1.0])
+    wide_, narrow_ = (along(one.z, one.lines["wedge_profile"][2], beside) for one in (wide, narrow))
+    assert np.all(narrow_ < 0.98 * wide_)
+
+
+def volumes(mesh) -> np.ndarray:
+    """Of the four layers, mm^3."""
+    weights = bricks.gradients(mesh.nodes[mesh.bricks], 2)[1].sum(1)
+    return np.bincount(mesh.layer, weights, minlength=4)
 
 
 def test_weights_of_a_pooled_field_are_shares():

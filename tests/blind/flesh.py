@@ -33,12 +33,42 @@ class OffsetBone(FingerShape):
         return bone if layer == 4 else bone + self.fibrous_share * (super().body_radius(2, z, theta) - bone)
 
 
+GROWTH = 1.6
+"""Length of an element over that of its neighbour on the side of the wedge."""
+
+
 @dataclass(frozen=True)
 class FineMiddle(Divisions):
-    """Divisions whose element angle is `middle` times the palmar one within `width` degrees of the pad's middle."""
+    """Divisions whose element angle is `middle` times the palmar one within `width` degrees of the pad's middle.
+
+    A wedge that is sharper than the elements under it acts as a blunter one, and its profile is too wide: under it elements are `sharp` mm
+    long, and `GROWTH` times as long as their neighbour from there to the length of the pad's, and `epidermis` says where they end in that
+    layer, see `cuts`. Without the two they are as elsewhere on the pad.
+    """
 
     middle: float = 0.35
     width: float = 14.0
+    sharp: float = 0.0
+    epidermis: tuple[float, ...] = ()
+
+    def scaled(self, factor: float, layers: tuple[int, int, int, int] | None = None) -> FineMiddle:
+        return replace(super().scaled(factor, layers), sharp=self.sharp * factor)  # type: ignore[return-value]
+
+    def blunted(self) -> FineMiddle:
+        """The same without shorter elements under wedges."""
+        return replace(self, sharp=0.0, epidermis=())
+
+    @property
+    def beside(self) -> tuple[float, ...]:
+        if not self.sharp:
+            return super().beside
+        ends, step = [0.5 * self.sharp], self.sharp * GROWTH
+        while step < self.pad:
+            ends, step = [*ends, ends[-1] + step], step * GROWTH
+        return tuple(ends)
+
+    def cuts(self, layer: int) -> tuple[float, ...]:
+        return self.epidermis if layer == 0 and self.epidermis else super().cuts(layer)
 
     @property
     def angles(self) -> tuple[float, ...]:

@@ -90,15 +90,16 @@ def _world(
 
 
 _HUMAN_MODULI, _MONKEY_MODULI = (0.16, 0.022, 0.013, 0.019), (0.14, 0.016, 0.010, 0.015)
-_HUMAN_CUT = FineMiddle(pad=0.4, reach=6.5, flank=1.0, rest=2.5, palmar=10.0)
-_MONKEY_CUT = FineMiddle(pad=0.25, reach=1.8, flank=0.6, span=6.8, rest=1.5, palmar=10.0, width=18.0)
+_UNDER_WEDGES: dict[str, Any] = {"sharp": 0.05, "epidermis": (0.45, 0.75, 0.92, 1.0)}
+_HUMAN_CUT = FineMiddle(pad=0.4, reach=6.5, flank=1.0, rest=2.5, palmar=10.0, **_UNDER_WEDGES)
+_MONKEY_CUT = FineMiddle(pad=0.25, reach=1.8, flank=0.6, span=6.8, rest=1.5, palmar=10.0, width=18.0, **_UNDER_WEDGES)
 _PLAIN = {
     "human": _world(HUMAN, _HUMAN_MODULI, _HUMAN_CUT, 11.5, PAD),
     "monkey": _world(MONKEY, _MONKEY_MODULI, _MONKEY_CUT, 8.3, AFFERENT),
 }
 _THIN = {
-    "human": _world(HUMAN, _HUMAN_MODULI, replace(_HUMAN_CUT, reach=2.5).scaled(1.8, (1, 2, 1, 1)), 11.5, THIN_PAD),
-    "monkey": _world(MONKEY, _MONKEY_MODULI, _MONKEY_CUT.scaled(1.8, (1, 2, 1, 1)), 8.3, THIN_AFFERENT),
+    "human": _world(HUMAN, _HUMAN_MODULI, replace(_HUMAN_CUT, reach=2.5).blunted().scaled(1.8, (1, 2, 1, 1)), 11.5, THIN_PAD),
+    "monkey": _world(MONKEY, _MONKEY_MODULI, _MONKEY_CUT.blunted().scaled(1.8, (1, 2, 1, 1)), 8.3, THIN_AFFERENT),
 }
 _THIN = {name: replace(world, resolution=(1.6, 4.0)) for name, world in _THIN.items()}
 

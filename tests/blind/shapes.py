@@ -204,6 +204,16 @@ class Divisions:
         return replace(self, **lengths, layers=layers or self.layers)
 
     @property
+    def beside(self) -> tuple[float, ...]:
+        """Where elements must end on both sides of the site, mm from it."""
+        return (0.5 * self.pad,)
+
+    def cuts(self, layer: int) -> tuple[float, ...]:
+        """Where bricks end in a layer, as shares of its thickness from its inner surface outwards; the last is 1."""
+        count = self.layers[3 - layer]
+        return tuple((n + 1) / count for n in range(count))
+
+    @property
     def angles(self) -> tuple[float, ...]:
         """Where else than at the pad's middle, the sides and the nail elements must end, degrees."""
         return ()
@@ -219,10 +229,10 @@ def finger_bricks(finger: FingerShape, divisions: Divisions = Divisions()) -> Br
     along, theta = halved(_along_grid(finger, divisions)), halved(_angle_grid(finger, divisions))
     shells = [finger.surface(k, along[None, :], theta[:, None]) for k in range(5)]
     depth, layer = [shells[4]], []
-    for k, count in zip((3, 2, 1, 0), divisions.layers, strict=True):
-        share = np.arange(1, 2 * count + 1) / (2 * count)
-        depth += [shells[k + 1] + t * (shells[k] - shells[k + 1]) for t in share]
-        layer += [k] * count
+    for k in (3, 2, 1, 0):
+        cuts = divisions.cuts(k)
+        depth += [shells[k + 1] + t * (shells[k] - shells[k + 1]) for t in halved(np.array([0.0, *cuts]))[1:]]
+        layer += [k] * len(cuts)
     nodes, bricks, layers, number, slab = lattice(np.stack(depth), np.array(layer), pole=True)
     nodes[np.abs(nodes[:, 0]) < 1e-9, 0] = 0.0
     fixed = np.repeat(_fixed_nodes(finger, number, nodes, along, theta)[:, None], 3, 1)
@@ -231,9 +241,9 @@ def finger_bricks(finger: FingerShape, divisions: Divisions = Divisions()) -> Br
 
 
 def _along_grid(finger: FingerShape, d: Divisions) -> Array:
-    site, half = finger.site, 0.5 * d.pad
-    tip = finger.cap + 0.5 * np.pi
-    wanted = [0.0, finger.cap, tip, *map(finger.along, (*finger.nail_z, site - half, site + half))]
+    site, tip = finger.site, finger.cap + 0.5 * np.pi
+    wanted = [0.0, finger.cap, tip, *map(finger.along, finger.nail_z)]
+    wanted += [finger.along(site + s * r) for r in d.beside for s in (-1, 1)]
     wanted += [
         finger.along(min(max(site + s * r, 0.0), finger.length)) for r in (d.reach, d.span) for s in (-1, 1)
     ]

@@ -3,7 +3,8 @@
     W = lambda/2 (tr e)^2 + mu e:e + mu stiffening/2 (d:d)^2        d: deviator of the strain e
 
 so that the extra stress is 2 mu stiffening (d:d) d: a cubic law, not an exponential one. A step solves with a factor of fixed, stiffer
-skin; contact is found anew in each, and Anderson's mixing speeds up the steps (Walker and Ni 2011).
+skin; contact is found anew in each, and Anderson's mixing speeds up the steps (Walker and Ni 2011). They run away where skin is more than
+about twice as stiff as the factor's, as it is beside a sharp wedge.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ SETTLED = 2e-5
 class Stiffening(Plain):
     """A flesh whose skin stiffens, pressed ever deeper: each press begins from the last one of the same indenter and place."""
 
-    def __init__(self, flesh: Flesh, *, skin: float = 1.5) -> None:
+    def __init__(self, flesh: Flesh, *, skin: float = 5.0) -> None:
         mesh, self.factor = factored(replace(flesh, stiffening=0.0), skin=skin)
         receptors = tuple(flesh.receptor(n) for n in range(len(flesh.receptors)))
         super().__init__(condense_factored(mesh, self.factor, flesh.touchable, watched=midline(mesh), receptors=receptors))

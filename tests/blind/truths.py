@@ -23,6 +23,7 @@ from .instruments import readings
 from .laboratory import Profiles
 from .protocol import Elastic, Record, Trace, elastic
 from .scenarios import HELD_OUT, SCENARIOS, Scenario, World
+from .shapes import Divisions
 
 MODEL_ERROR = {"profile": 0.01, "force": 0.01, "rate": 0.1}
 """Share of the largest reading of its curve (a force: of each reading) that a laboratory says even the right model is wrong by."""
@@ -158,13 +159,13 @@ class Truths:
         moved = [self._readings(one, f"slope {n} of {finger}") for n, one in enumerate(worlds)]
         return [{name: (one[name] - base[name]) / STEP for name in base} for one in moved]
 
-    def coarser(self, finger: str, factor: float) -> dict[str, tuple[float, float]]:
-        """How much the plain readings change on bricks `factor` times as long: largest and root mean square, as shares of each file's
-        largest."""
+    def recut(self, finger: str, cut: Callable[[Divisions], Divisions], name: str) -> dict[str, tuple[float, float]]:
+        """How much the plain readings change on bricks cut otherwise, which are `name`: largest and root mean square, as shares of each
+        file's largest."""
         plain = SCENARIOS[f"none_{finger}"]
         world, fine = plain.world(thin=self.thin), self.clean(plain)
-        flesh = replace(world.flesh, divisions=world.flesh.divisions.scaled(factor))
-        rough = self._readings(replace(world, flesh=flesh), f"{plain.name} on coarser bricks")
+        flesh = replace(world.flesh, divisions=cut(world.flesh.divisions))
+        rough = self._readings(replace(world, flesh=flesh), f"{plain.name} on {name}")
         change = {name: (rough[name] - fine[name]) / np.abs(fine[name]).max() for name in fine}
         return {name: (float(np.abs(one).max()), float(np.sqrt((one**2).mean()))) for name, one in change.items()}
 
