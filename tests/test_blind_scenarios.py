@@ -70,7 +70,7 @@ def test_bricks_under_a_wedge_are_as_short_as_its_tip_is_wide(finger):
     assert middles[under] == pytest.approx(0.0, abs=1e-9)
     assert lengths[under] == lengths.min() == pytest.approx(0.05)
     beside = lengths[np.abs(middles) < flesh.divisions.reach]
-    assert np.abs(np.diff(np.log(beside))).max() < np.log(2.5)
+    assert np.abs(np.diff(np.log(beside))).max() < np.log(2.5)  # 1.6 but where the cap's own end leaves no room for another
 
 
 def test_bricks_cut_otherwise_leave_layers_as_they_are():
