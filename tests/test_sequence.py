@@ -139,6 +139,18 @@ QUESTIONS: dict[str, tuple[dict[str, float], Asked]] = {
 }
 
 
+def test_skin_gives_way_under_the_tip_of_a_line(finger: Finger) -> None:
+    """More than the mesh shows, and more if it is softer."""
+    wedge, place = Line(0.05), np.array([[0.0, MIDDLE]])
+    sequence = prepare(finger, wedge, place, 1.0, bone="held")
+    C = sequence.condense(TISSUE).held.matrix
+    shown, whole = (float(sequence.press(C, wedge, travel=0.6, material=of).contact.force[0]) for of in (None, TISSUE))
+    assert 0.8 * shown < whole < 0.97 * shown
+    blunter = Line(0.5)
+    shown, whole = (float(sequence.press(C, blunter, travel=0.6, material=of).contact.force[0]) for of in (None, TISSUE))
+    assert 0.97 * shown < whole < 1.05 * shown
+
+
 def readings(sequence: Sequence, pushed: Pushed, tissue: Material = TISSUE, deeper: jax.Array | float = 0.0) -> jax.Array:
     """Force, mean pressure and rate of every pose."""
     felt = strain_energy_density(sequence.feel(pushed, tissue, deeper))[:, 0]

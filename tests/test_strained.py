@@ -78,9 +78,9 @@ def test_every_case_rests_where_newton_finds_it_to(everything: Assembled, strain
     assert np.abs(rows(strained) / linear - 1).max() > 0.05
     for rig, cases in zip(model.instruments.rigs, strained.cases, strict=True):
         case = int(np.argmax(rig.imposed))
-        place, _ = place_of(model, rig, int(rig.pose[case]))
+        place, _ = place_of(model, rig, int(rig.pose[case]), tissue)
         control = {"force" if rig.forced else "travel": rig.imposed[case]}
-        newton = find(tissue, Indenting(place.columns, place.interface, **control), Newton(1e-8))
+        newton = find(tissue, Indenting(place.columns, place.interface, sharp=place.sharp, **control), Newton(1e-8))
         rest = cases[case].rest
         assert newton.result.ok and rest is not None
         SAME_STATE.check(rest.displacement, newton.state.displacement.ravel())

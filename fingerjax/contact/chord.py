@@ -51,10 +51,12 @@ class Imposed(NamedTuple):
 
 
 class Place:
-    """Where an indenter meets the skin: `columns`, the y-displacements on which `interface.load` acts. Lives outside of compiled code."""
+    """Where an indenter meets the skin: `columns`, the y-displacements on which `interface.load` acts, and `sharp`, mm^2/N, by which skin
+    gives way under the tip of a line (`line.sharp_compliance`). Lives outside of compiled code.
+    """
 
-    def __init__(self, columns: Columns, interface: Interface):
-        self.columns, self.interface = columns, interface
+    def __init__(self, columns: Columns, interface: Interface, sharp: float = 0.0):
+        self.columns, self.interface, self.sharp = columns, interface, sharp
         self.matrix = columns.matrix()
 
     def overlapped(self, imposed: Imposed) -> Array:
@@ -214,7 +216,8 @@ class Search:
             return None
         v = u - self.chord(force)
         free, moved = (jnp.asarray(self.place.matrix.T @ each) for each in (v, u))
-        said = _number(self.imposed.travel), _number(self.imposed.force), jnp.asarray(self.imposed.series, float)
+        gives = jnp.asarray(self.imposed.series, float), jnp.asarray(self.place.sharp, float)
+        said = _number(self.imposed.travel), _number(self.imposed.force), *gives
         contact, opening = _touching(self.chord.compliance, self.place.interface, free, moved, active, *said)
         if not bool(contact.settled):
             return None
@@ -268,13 +271,17 @@ def _touching(
     travel: Float[Array, ""] | None,
     force: Float[Array, ""] | None,
     series: Float[Array, ""],
+    sharp: Float[Array, ""],
 ) -> tuple[Contact, Float[Array, ""]]:
     """The contact of compliance C, mm/N, with a free surface, and how far the gaps over the skin where it is now are from its own."""
     shifted = eqx.tree_at(lambda part: part.overlap, interface, interface.overlap - interface.load.T @ free)
-    contact = press(C, shifted, travel=travel, force=force, start=active, series=series)
+    contact = press(C, shifted, travel=travel, force=force, start=active, series=series, sharp=sharp)
     present = interface.area > 0
     gap = interface.load.T @ moved - interface.overlap - (contact.travel - series * contact.force) * interface.area
-    error = jnp.where(present, gap / jnp.where(present, interface.area, 1.0) - contact.gap, 0.0)
+    gap = gap / jnp.where(present, interface.area, 1.0)
+    if interface.narrow is not None:
+        gap += sharp * interface.narrow * interface.area * contact.pressure
+    error = jnp.where(present, gap - contact.gap, 0.0)
     wrong = jnp.where(contact.active, jnp.abs(error), jnp.maximum(-(contact.gap + error), 0.0))
     size = jnp.abs(contact.travel)
     return contact, jnp.max(wrong) / jnp.where(size > 0, size, 1.0)

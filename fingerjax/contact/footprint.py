@@ -28,11 +28,12 @@ The largest hat stands above the pressure; its peak is that of the pressures `in
 An edge is two node spacings. Vertex rows: a sphere of R = 20 a; node rows: R = 4 a, their force less the 0.6
 % by which such a sphere falls short of Hertz's paraboloid. A line's force is only as good as the nodes
 beneath its tip: with the tip 0.05 mm wide, a line at two places on the mesh gave forces 19 % apart at a node
-spacing of 0.125 mm and 9 % at 0.0625 mm.
+spacing of 0.125 mm and 9 % at 0.0625 mm. What all places have in common is made good, see `line`.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -44,7 +45,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .indenter import Line
-from .line import stations
+from .line import narrowness, stations
 from .locate import locate
 from .pad import Pad
 from .shape import AbstractIndenter
@@ -62,7 +63,8 @@ class Interface(eqx.Module):
     takes no part. `lowest` is the y in mm at which the indenter first touches; travel is counted from there.
     `pieces` (r, 3), or (r, 2) of a line, are the hats of each facet and `covered` (r,) in mm^2 how much of it
     lies under the indenter. `gathered` (h, k) in MPa/N is the pressure of each hat from the force on each
-    unknown where contact is held elsewhere than in hats (`nodal`).
+    unknown where contact is held elsewhere than in hats (`nodal`). `narrow` (k,) in 1/mm is there for a line
+    alone: what the mesh does not show of the skin's giving way under a force on each hat, see `line`.
     """
 
     load: Float[Array, "p k"]
@@ -73,6 +75,7 @@ class Interface(eqx.Module):
     pieces: Int[Array, "r b"]
     covered: Float[Array, " r"]
     gathered: Float[Array, "h k"] | None = None
+    narrow: Float[Array, " k"] | None = None
 
 
 def first_contact(pad: Pad, indenter: AbstractIndenter, origin: Any) -> Float[Array, ""]:
@@ -198,7 +201,8 @@ def only(interface: Interface, kept: np.ndarray, load: Float[Array | np.ndarray,
     whole = np.all(pieces >= 0, axis=1)
     overlap, area, rim = (np.asarray(part)[kept] for part in (interface.overlap, interface.area, interface.rim))
     rest = overlap, area, rim, interface.lowest, pieces[whole], np.asarray(interface.covered)[whole]
-    return Interface(jax.device_put(load), *jax.device_put(rest))
+    narrow = None if interface.narrow is None else jax.device_put(np.asarray(interface.narrow)[kept])
+    return dataclasses.replace(Interface(jax.device_put(load), *jax.device_put(rest)), narrow=narrow)
 
 
 def _without_slivers(interface: Interface, full: Float[Array, " k"]) -> Interface:
@@ -207,7 +211,8 @@ def _without_slivers(interface: Interface, full: Float[Array, " k"]) -> Interfac
         jnp.where(keep, part, 0.0) for part in (interface.load, interface.overlap, interface.area)
     )
     rest = interface.lowest, interface.pieces, interface.covered
-    return Interface(load, overlap, area, interface.rim & keep, *rest)
+    narrow = None if interface.narrow is None else jnp.where(keep, interface.narrow, 0.0)
+    return Interface(load, overlap, area, interface.rim & keep, *rest, None, narrow)
 
 
 def _line_interface(pad: Pad, line: Line, origin: Any) -> Interface:
@@ -225,4 +230,5 @@ def _line_interface(pad: Pad, line: Line, origin: Any) -> Interface:
     pieces = jnp.stack([ends[:-1], ends[1:]], axis=1)
     covered = jnp.sum(at.weight.reshape(k - 1, -1), axis=1)
     whole = jnp.full(k, jnp.max(full))
-    return _without_slivers(Interface(load, overlap, full, rim, lowest, pieces, covered), whole)
+    found = Interface(load, overlap, full, rim, lowest, pieces, covered, narrow=narrowness(pad, line, at))
+    return _without_slivers(found, whole)

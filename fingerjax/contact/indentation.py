@@ -49,6 +49,7 @@ def press(
     force: Float[Array, ""] | float | None = None,
     start: Bool[Array, " k"] | None = None,
     series: Float[Array, ""] | float = 0.0,
+    sharp: Float[Array, ""] | float = 0.0,
     glued: bool = False,
     max_steps: int = 500,
 ) -> Contact:
@@ -56,7 +57,8 @@ def press(
 
     `compliance_pp` in mm/N takes forces along +y on the pad nodes to their displacements along +y. `start` is
     the active set of a neighbouring contact; `series` mm/N what the apparatus gives way, as part of the
-    travel. With `glued` the displacement is prescribed wherever the
+    travel; `sharp` mm^2/N the skin's `line.sharp_compliance`, by which it gives way under the tip of a line
+    beyond what the mesh shows: 0 leaves that out. With `glued` the displacement is prescribed wherever the
     undeformed skin would be overlapped, as under a line of prescribed displacement; travel must then be
     given.
 
@@ -64,7 +66,15 @@ def press(
     """
     between = interface.load.T @ compliance_pp @ interface.load
     return press_hats(
-        between, interface, travel=travel, force=force, start=start, series=series, glued=glued, max_steps=max_steps
+        between,
+        interface,
+        travel=travel,
+        force=force,
+        start=start,
+        series=series,
+        sharp=sharp,
+        glued=glued,
+        max_steps=max_steps,
     )
 
 
@@ -76,6 +86,7 @@ def press_hats(
     force: Float[Array, ""] | float | None = None,
     start: Bool[Array, " k"] | None = None,
     series: Float[Array, ""] | float = 0.0,
+    sharp: Float[Array, ""] | float = 0.0,
     glued: bool = False,
     max_steps: int = 500,
 ) -> Contact:
@@ -87,6 +98,8 @@ def press_hats(
     # Unknowns are hat forces and mean gaps: newtons and millimetres, whatever the size of a hat.
     compliance = between / (area[:, None] * area)
     compliance = 0.5 * (compliance + compliance.T) + series
+    if interface.narrow is not None:
+        compliance = compliance + jnp.diag(sharp * interface.narrow)
     overlap = jnp.where(present, interface.overlap / area, -1e3)
     if glued and travel is not None:
         found = held(compliance, overlap, travel)

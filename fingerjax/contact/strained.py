@@ -31,13 +31,15 @@ def _number(value: float | Array | None) -> Array | None:
 class Indenting(AbstractLoading):
     """An indenter brought to a travel, mm, or pressed with a force, N (exactly one of the two).
 
-    `columns`: the y-displacements on which `interface.load` acts. The state's `detail` is a `Contact`.
+    `columns`: the y-displacements on which `interface.load` acts; `sharp`, mm^2/N, by which skin gives way under the tip of a line
+    (`line.sharp_compliance`). The state's `detail` is a `Contact`.
     """
 
     columns: Columns
     interface: Interface
     travel: Float[Array, ""] | None = eqx.field(default=None, converter=_number)
     force: Float[Array, ""] | None = eqx.field(default=None, converter=_number)
+    sharp: Float[Array, ""] = eqx.field(default=0.0, converter=jnp.asarray)
 
     def __check_init__(self) -> None:
         if (self.travel is None) == (self.force is None):
@@ -57,6 +59,7 @@ class Indenting(AbstractLoading):
             self._free(near, condensed, state),
             None if self.travel is None else start.travel + share * (self.travel - start.travel),
             None if self.force is None else (1 - share) * _pushed(start) + share * self.force,
+            self.sharp,
         )
         load = self.columns.load(contact.nodal_forces)
         step = near.undo((load - near.force)[None])
@@ -74,6 +77,7 @@ class Indenting(AbstractLoading):
             condensed.readings(loads),
             state.travel if self.moves else None,
             None if self.moves else _pushed(state),
+            self.sharp,
         )
         change = jnp.stack([self.columns.load(each) for each in forces])
         moved = near.undo(loads + change)
@@ -109,10 +113,11 @@ def _contact(
     free: Float[Array, " p"],
     travel: Number | None,
     force: Number | None,
+    sharp: Number,
 ) -> Contact:
     """The contact with linearised tissue of compliance C, mm/N, whose free surface has moved already."""
     shifted = eqx.tree_at(lambda part: part.overlap, interface, interface.overlap - interface.load.T @ free)
-    return press(C, shifted, travel=travel, force=force)
+    return press(C, shifted, travel=travel, force=force, sharp=sharp)
 
 
 @eqx.filter_jit
@@ -123,11 +128,12 @@ def contact_slopes(
     moved: Float[Array, "d p"],
     travel: Number | None,
     force: Number | None,
+    sharp: Number,
 ) -> tuple[Float[Array, "d p"], Float[Array, " d"]]:
     """Change of the contact's nodal forces, N, and of its travel, mm, when the free surface moves in each of a few ways."""
 
     def ends(free: Float[Array, " p"]) -> tuple[Array, Array]:
-        contact = _contact(C, interface, free, travel, force)
+        contact = _contact(C, interface, free, travel, force, sharp)
         return contact.nodal_forces, contact.travel
 
     return jax.lax.map(lambda way: jax.jvp(ends, (free,), (way,))[1], moved)

@@ -178,7 +178,8 @@ def _by_newton(tissue: Tissue, place: Place, imposed: Imposed, last: Resting | N
     if imposed.series != 0.0:
         return spent
     travel, force = (None if value is None else jnp.asarray(value) for value in imposed[:2])
-    found = find(tissue, Indenting(place.columns, place.interface, travel, force), Newton(chording.tolerance), _state(last))
+    loading = Indenting(place.columns, place.interface, travel, force, jnp.asarray(place.sharp))
+    found = find(tissue, loading, Newton(chording.tolerance), _state(last))
     near = tangent_chord(tissue, place, np.asarray(found.state.displacement).ravel()) if found.result.ok else None
     if near is None:
         return spent._replace(newton=found.iterations, result=found.result)

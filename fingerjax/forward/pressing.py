@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.footprint import Interface
 from ..contact.indentation import Contact, press_hats
+from ..contact.line import sharp_compliance
 from ..effects.added import Added
 from ..effects.records import Push
 from ..fem.body import Body
@@ -103,7 +104,8 @@ def _settled(
 ) -> Known:
     between = [_between(rig, bodies) for rig in rigs]
     columns = bodies[0].held.matrix.shape[0]
-    found = [_settle(rig, hats, columns, added, dict(values)) for rig, hats in zip(rigs, between, strict=True)]
+    lame = jnp.stack([body.held.lame for body in bodies])
+    found = [_settle(rig, hats, columns, lame, added, dict(values)) for rig, hats in zip(rigs, between, strict=True)]
     slope = [np.zeros((len(forces), directions.shape[1], columns)) for _, forces in found]
     chosen = [[np.flatnonzero(np.asarray(rig.variant) == variant) for rig in rigs] for variant in range(len(bodies))]
     acted = [np.asarray(forces) for _, forces in found]
@@ -146,11 +148,18 @@ def _on_columns(load: Float[np.ndarray, "p k"], columns: Int[np.ndarray, " p"], 
 
 @eqx.filter_jit
 def _settle(
-    rig: Rig, between: Float[Array, "variants poses k k"], columns: int, added: Added, values: dict[str, Any]
+    rig: Rig,
+    between: Float[Array, "variants poses k k"],
+    columns: int,
+    lame: Float[Array, "variants 2 layers"],
+    added: Added,
+    values: dict[str, Any],
 ) -> tuple[Bool[Array, "cases k"], Float[Array, "cases m"]]:
+    sharp = sharp_compliance(lame, rig.layer)
+
     def one(case: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         pose, imposed, variant = case
-        contact = _push(rig, pose, between[variant, pose], imposed, _geometry(rig, pose), None, added, values)
+        contact = _push(rig, pose, between[variant, pose], imposed, _geometry(rig, pose), sharp[variant], None, added, values)
         return contact.active, jnp.zeros(columns).at[rig.columns[pose]].add(contact.nodal_forces)
 
     return jax.lax.map(one, (rig.pose, rig.imposed, rig.variant))
@@ -163,16 +172,21 @@ def pressed(
     away: Float[Array, "variants d"],
     added: Added = NOTHING,
     values: Mapping[str, Any] = EMPTY,
+    lame: Float[Array, "variants 2 layers"] | None = None,
 ) -> tuple[Contact, Float[Array, "cases m"]]:
-    """Every indentation of a rig, and every column's reading under it; differentiable in the material, the indenter's shape and effects."""
+    """Every indentation of a rig, and every column's reading under it; differentiable in the material, the indenter's shape and effects.
+
+    `lame`: of each variant, if a derivative is asked for: of what the tip of a line presses down beyond what the mesh shows.
+    """
     C = jnp.stack([each.matrix for each in known.held])
+    sharp = sharp_compliance(jnp.stack([each.lame for each in known.held]) if lame is None else lame, rig.layer)
 
     def one(case: tuple[Array, ...]) -> tuple[Contact, Array, Array]:
         pose, imposed, variant, active, slope = case
         columns, geometry = rig.columns[pose], _geometry(rig, pose)
         change = away[variant] @ slope
         shifted = eqx.tree_at(lambda part: part.overlap, geometry, geometry.overlap - geometry.load.T @ change[columns])
-        contact = _push(rig, pose, settled.between[variant, pose], imposed, shifted, active, added, values)
+        contact = _push(rig, pose, settled.between[variant, pose], imposed, shifted, sharp[variant], active, added, values)
         return contact, jnp.zeros(C.shape[1]).at[columns].add(contact.nodal_forces), change
 
     contact, forces, change = jax.lax.map(one, (rig.pose, rig.imposed, rig.variant, settled.active, settled.slopes))
@@ -190,6 +204,7 @@ def _push(
     between: Array,
     imposed: Array,
     geometry: Interface,
+    sharp: Array,
     start: Array | None,
     added: Added,
     values: Mapping[str, Any],
@@ -198,4 +213,4 @@ def _push(
     push = added.push(said, values)
     geometry = eqx.tree_at(lambda part: part.overlap, geometry, push.overlap)
     force, travel = (push.imposed, None) if rig.forced else (None, push.imposed)
-    return press_hats(between, geometry, travel=travel, force=force, start=start, series=push.series)
+    return press_hats(between, geometry, travel=travel, force=force, start=start, series=push.series, sharp=sharp)

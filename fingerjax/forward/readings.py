@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..contact.indentation import Contact
+from ..contact.line import sharp_compliance
 from ..effects.added import Added
 from ..effects.records import Felt, Reading
 from ..fem.body import Material
@@ -68,8 +69,10 @@ class Instruments(eqx.Module):
         `quantity` names what the receptor is taken to feel, one of `measure.receptor.EVERY`. `away`: how far along the known slopes, where
         that is not for the values to say.
         """
-        away = known.away([tissue.lame() for tissue in self.materials(values)]) if away is None else away
-        found = [pressed(rig, each, known, away, self.added, values) for rig, each in zip(self.rigs, known.rigs, strict=True)]
+        lame = [tissue.lame() for tissue in self.materials(values)]
+        away = known.away(lame) if away is None else away
+        together = zip(self.rigs, known.rigs, strict=True)
+        found = [pressed(rig, each, known, away, self.added, values, jnp.stack(lame)) for rig, each in together]
         converged, iterations, residual = (
             jnp.stack([getattr(each, name) for each in known.held]) for name in ("converged", "iterations", "residual")
         )
@@ -96,7 +99,7 @@ class Instruments(eqx.Module):
             each = contact.travel if rig.forced else contact.force
             return each[rig.case], jnp.zeros(rig.row.shape)
         if rig.kind == "deflection_profile":
-            return observed[rig.case, rig.reading], jnp.zeros(rig.row.shape)
+            return observed[rig.case, rig.reading] + self._beneath(rig, contact, values), jnp.zeros(rig.row.shape)
         strain = observed[rig.case[:, None], rig.reading[:, None] + jnp.arange(6)]
         layer = dict(self.receptor_layer)[rig.measurement]
         tissues = self.materials(values)
@@ -105,6 +108,13 @@ class Instruments(eqx.Module):
         state = ReceptorState(strain, E, nu)
         felt = self.added.feel(Felt(EVERY[quantity](state), state, rig.context), values).quantity
         return self._rate(rig, felt, values), felt
+
+    def _beneath(self, rig: Rig, contact: Contact, values: Values) -> Array:
+        """How much deeper skin under the tip of a line lies than the mesh shows, mm, at each row."""
+        if rig.beneath is None:
+            return jnp.zeros(rig.row.shape)
+        sharp = sharp_compliance(jnp.stack([tissue.lame() for tissue in self.materials(values)]), rig.layer)
+        return sharp[rig.variant[rig.case]] * jnp.sum(rig.beneath * contact.pressure[rig.case], axis=1)
 
     def _rate(self, rig: Rig, felt: Array, values: Values) -> Array:
         name, labels = self.names[rig.measurement], [dict(each) for each in self.variants]

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from ..contact.footprint import Interface, interface, only
 from ..contact.indenter import FlatCylinder, Line, Point, Sphere, from_spec
+from ..contact.line import RIGID, beside_tip
 from ..contact.locate import surface_functionals
 from ..contact.pad import Pad, functionals
 from ..contact.reach import Indentation, filled, pad_for, room, windows
@@ -42,6 +43,8 @@ class Rig(eqx.Module):
     - `interface`: contact geometry of each pose. `pose`, `imposed` (cases,): where, and mm of travel or N of force.
     - `variant` (cases,): which material. `row` (r,), `case` (r,), `reading` (r,): what each row of the measurement is; `reading` is
       the compliance column of an observed surface point, or the first of six strain columns.
+    - `beneath` (r, k), mm, of profiles under a line alone: how much deeper the point of each row lies than the mesh shows, for the pressure
+      of each hat, per unit of the `sharp_compliance` of `layer`, the outermost.
     """
 
     indenter: AbstractIndenter
@@ -57,6 +60,8 @@ class Rig(eqx.Module):
     measurement: int = eqx.field(static=True)
     kind: str = eqx.field(static=True)
     forced: bool = eqx.field(static=True)
+    layer: int = eqx.field(static=True)
+    beneath: Float[Array, "r k"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -270,6 +275,7 @@ def lay(planned: list[Plan], finger: Finger, body: Body, solid: AbstractSolid, k
     swept over the skin is given all the nodes that it can reach, so that every pose is a product with the same matrix.
     """
     skin = known if known is not None and known.serves(planned) else _skin(planned, finger)
+    skin_layer = outermost(skin.pad, finger)
     matrices = [functionals(skin.pad, len(finger.nodes))] if skin.swept else []
     rigs, layers = [], {}
     for plan, (columns, geometry, pressed) in zip(planned, skin.places, strict=True):
@@ -279,7 +285,8 @@ def lay(planned: list[Plan], finger: Finger, body: Body, solid: AbstractSolid, k
             layers[plan.index] = layer
         if pressed is not None:
             columns = jax.device_put(np.asarray(columns) + _append(matrices, pressed))
-        rigs.append(_rig(plan, columns, geometry, reading))
+        beneath = None if pressed is None else _beneath(plan, finger, solid, geometry, pressed)
+        rigs.append(_rig(plan, columns, geometry, reading, skin_layer, beneath))
     count = sum(matrix.shape[1] for matrix in matrices)
     matrices.append(sp.csc_matrix((3 * len(finger.nodes), -count % COLUMNS)))
     return Laid(tuple(rigs), sp.hstack(matrices).tocsc(), layers, skin)
@@ -334,7 +341,8 @@ def _with_room(pressing: Interface) -> Interface:
     overlap, area, rim = (filled(np.asarray(part), hats) for part in (pressing.overlap, pressing.area, pressing.rim))
     pieces, covered = (filled(np.asarray(part), facets) for part in (pressing.pieces, pressing.covered))
     load = np.diag((np.arange(hats) < len(pressing.area)).astype(float))
-    rest = overlap, area, rim, np.asarray(pressing.lowest), pieces, covered
+    narrow = () if pressing.narrow is None else (filled(np.asarray(pressing.narrow), hats),)
+    rest = overlap, area, rim, np.asarray(pressing.lowest), pieces, covered, *narrow
     return jax.tree.unflatten(jax.tree.structure(pressing), (load, *rest))
 
 
@@ -349,14 +357,20 @@ def _readings(plan: Plan, finger: Finger, body: Body, solid: AbstractSolid) -> t
     """Columns observed beside the pad, which of them each row reads, and the layer of the receptor."""
     measurement, rows = plan.measurement, plan.rows
     if measurement.kind == "deflection_profile":
-        points = np.tile(site(solid, measurement), (len(rows), 1))
-        points[:, "xz".index(measurement.direction)] += measurement.table["distance"][rows]
-        unique, reading = np.unique(np.round(points, 9), axis=0, return_inverse=True)
+        unique, reading = np.unique(np.round(_observed(plan, solid), 9), axis=0, return_inverse=True)
         return surface_functionals(finger, unique), reading.reshape(-1), None
     if measurement.kind == "spike_rate":
         matrix, layer = strain_columns(body, receptor_point(solid, _receptor(measurement)))
         return matrix, np.zeros(len(rows), int), layer
     return None, np.zeros(len(rows), int), None
+
+
+def _observed(plan: Plan, solid: AbstractSolid) -> Float[np.ndarray, "r 2"]:
+    """(x, z), mm, of the points of the skin whose deflection the rows tell."""
+    measurement = plan.measurement
+    points = np.tile(site(solid, measurement), (len(plan.rows), 1))
+    points[:, "xz".index(measurement.direction)] += measurement.table["distance"][plan.rows]
+    return points
 
 
 def receptor_point(solid: AbstractSolid, receptor: Receptor) -> np.ndarray:
@@ -367,7 +381,41 @@ def receptor_point(solid: AbstractSolid, receptor: Receptor) -> np.ndarray:
     return np.array([x, y, receptor.z])
 
 
-def _rig(plan: Plan, columns: Int[Array, "poses p"], geometry: Interface, reading: np.ndarray) -> Rig:
+def outermost(pad: Pad, finger: Finger) -> int:
+    """The layer that most of the pad's skin is the surface of."""
+    outside = np.isin(finger.tets[:, :4], np.asarray(pad.nodes)[np.asarray(pad.facets)[:, :3]]).sum(axis=1) == 3
+    return int(np.bincount(finger.layer[outside]).argmax()) if outside.any() else 0
+
+
+def _beneath(
+    plan: Plan, finger: Finger, solid: AbstractSolid, geometry: Interface, pressed: sp.csc_matrix
+) -> Float[Array, "r k"] | None:
+    """See `Rig`. A hat stands where its load has its centre; between two of them the load per length is linear."""
+    line = plan.indenter
+    if not isinstance(line, Line) or plan.measurement.kind != "deflection_profile":
+        return None
+    along, across = ((0, 1), (1, 0))[line.along == "z"]
+    place = finger.nodes[:, (0, 2)[along]]
+    stands = (pressed.T @ np.repeat(place, 3)) / np.asarray(pressed.sum(axis=0)).ravel()
+    order, half = np.argsort(stands), 0.5 * float(line.width)
+    at = _observed(plan, solid)
+    share = np.zeros((len(at), len(stands)))
+    for hat, peak in zip(order, np.eye(len(order)), strict=True):
+        share[:, hat] = np.interp(at[:, along], stands[order], peak, left=0.0, right=0.0)
+    area, narrow = (np.asarray(part)[0, : len(stands)] for part in (geometry.area, geometry.narrow))
+    blunt = half * np.exp(narrow * area / (2 * half) + RIGID)
+    deeper = beside_tip(at[:, across, None] - plan.origins[0, across], half, blunt)
+    return jax.device_put(filled((share * deeper * 2 * half).T, geometry.area.shape[1]).T)
+
+
+def _rig(
+    plan: Plan,
+    columns: Int[Array, "poses p"],
+    geometry: Interface,
+    reading: np.ndarray,
+    layer: int,
+    beneath: Float[Array, "r k"] | None,
+) -> Rig:
     return Rig(
         indenter=plan.indenter,
         columns=columns,
@@ -382,6 +430,8 @@ def _rig(plan: Plan, columns: Int[Array, "poses p"], geometry: Interface, readin
         measurement=plan.index,
         kind=plan.measurement.kind,
         forced=plan.measurement.controlled == "force",
+        layer=layer,
+        beneath=beneath,
     )
 
 

@@ -28,6 +28,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..contact.footprint import Interface, interface
 from ..contact.indentation import Contact, press
+from ..contact.line import sharp_compliance
 from ..contact.nodal import at_nodes
 from ..contact.pad import Pad, functionals, node_area
 from ..contact.reach import Indentation, pad_for, windows
@@ -42,6 +43,7 @@ from ..fem.solver import AbstractSolver, solver_for
 from ..finger import Finger
 from ..measure.receptor import Receptor
 from ..measure.sites import Sites
+from .rigs import outermost
 
 HELD_AT = {"hats": interface, "nodes": at_nodes}
 READ = 12  # columns of a receptor: six strains, and their slopes inwards
@@ -72,6 +74,7 @@ class Sequence(eqx.Module):
     receptor: Int[Array, " sites"]
     layer: Int[Array, " sites"]
     held_at: str = eqx.field(static=True, default="hats")
+    outermost: int = eqx.field(static=True, default=0)
 
     def condense(self, material: Material) -> AbstractCondensed:
         """The body behind its columns at a material; outside of compiled code. `held.matrix` is what `press` needs."""
@@ -89,15 +92,18 @@ class Sequence(eqx.Module):
         travel: Float[ArrayLike, "..."] | None = None,
         force: Float[ArrayLike, "..."] | None = None,
         offset: Float[ArrayLike, "2"] | tuple[float, float] = (0.0, 0.0),
+        material: Material | None = None,
     ) -> Pushed:
         """Press at every origin, to a travel in mm from first contact or with a force in N: one for all, or one for each.
 
         **Arguments:** `C` of `compliance`, or `condense(...).held.matrix`; `offset` (x, z), mm, is added to all origins, and must stay
-        small beside a node spacing or two, since the skin that can be touched is chosen beforehand.
+        small beside a node spacing or two, since the skin that can be touched is chosen beforehand; `material`, the one of `C`, for a
+        line: without it skin gives way under its tip no more than the mesh shows (`contact.line`).
         """
+        sharp = jnp.zeros(()) if material is None else sharp_compliance(material.lame(), self.outermost)
         imposed = jnp.broadcast_to(jnp.asarray(travel if force is None else force, float), self.origins.shape[:1])
         faces = _faces(self.cut, self.origins + jnp.asarray(offset, float), indenter, HELD_AT[self.held_at])
-        return _pressed(self.cut.columns, faces, C, imposed, force is not None)
+        return _pressed(self.cut.columns, faces, C, imposed, sharp, force is not None)
 
     def pressure_over(self, pushed: Pushed, radius: float) -> Float[Array, " poses"]:
         """Largest pressure, MPa, over patches of skin of this `radius`, mm, about every node, weighted towards their middle.
@@ -131,11 +137,11 @@ def _faces(cut: Pad, origins: Array, indenter: AbstractIndenter, held: Callable[
 
 
 @eqx.filter_jit
-def _pressed(columns: Array, faces: Interface, C: Array, imposed: Array, forced: bool) -> Pushed:
+def _pressed(columns: Array, faces: Interface, C: Array, imposed: Array, sharp: Array, forced: bool) -> Pushed:
     def one(pose: tuple[Array, Interface, Array]) -> tuple[Contact, Array]:
         own, face, value = pose
         only = C[own[:, None], own[None, :]]
-        contact = press(only, face, force=value) if forced else press(only, face, travel=value)
+        contact = press(only, face, force=value, sharp=sharp) if forced else press(only, face, travel=value, sharp=sharp)
         return contact, jnp.zeros(C.shape[0]).at[own].add(contact.nodal_forces)
 
     contact, forces = jax.lax.map(one, (columns, faces, imposed))
@@ -195,6 +201,7 @@ def prepare(
         receptor=jnp.asarray(first + READ * np.arange(len(layers))),
         layer=jnp.asarray(layers),
         held_at=held_at,
+        outermost=outermost(pad, bare),
     )
 
 

@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 
 from ..contact.chord import Chord, Chording, Chords, Imposed, Place
 from ..contact.indentation import Contact
+from ..contact.line import sharp_compliance
 from ..effects.added import Added
 from ..effects.records import Push
 from ..fem.columns import Columns
@@ -108,7 +109,7 @@ def strained_readings(
                 before = [None if start is None else start.cases[number][case] for case in on_path]
                 twins = [None if like == variant else twin(rig, case, like) for case in on_path]
                 warm = [before[i] if other is None else _rest(cases[number][other]) for i, other in enumerate(twins)]
-                place, own = place_of(model, rig, pose)
+                place, own = place_of(model, rig, pose, tissue)
                 known = Known(chords, [count[number] + case for case in on_path], partial(Chord.of, condensed, own))
                 own_paths.append(LoadPath(number, on_path, place, known, [imposed[number][case] for case in on_path], warm))
         own_paths.sort(key=lambda path: -len(path.cases))  # the longest first, so that none is left to go on alone
@@ -192,11 +193,15 @@ def _rest(ended: Ended) -> Ended:
     return ended._replace(tangent=False)
 
 
-def place_of(model: Model, rig: Rig, pose: int) -> tuple[Place, np.ndarray]:
-    """Where a rig presses in one pose, and which of the model's columns are pressed."""
+def place_of(model: Model, rig: Rig, pose: int, tissue: Tissue) -> tuple[Place, np.ndarray]:
+    """Where a rig presses on a tissue in one pose, and which of the model's columns are pressed.
+
+    What is finer than the mesh under the tip of a line gives way as its tissue does where it is hardly strained.
+    """
     own = np.asarray(rig.columns[pose])
     columns = Columns(model.columns.node[own], model.columns.weight[own], model.columns.nodes)
-    return Place(columns, jax.tree.map(lambda leaf: leaf[pose], rig.interface)), own
+    sharp = float(sharp_compliance(jnp.asarray(tissue.lame), rig.layer))
+    return Place(columns, jax.tree.map(lambda leaf: leaf[pose], rig.interface), sharp), own
 
 
 def _once(make: Callable[[], AbstractCondensed]) -> Callable[[], AbstractCondensed]:

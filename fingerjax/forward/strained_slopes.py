@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..contact.chord import Chord, Chords, Place, Resting
+from ..contact.line import sharp_compliance
 from ..effects.added import Added
 from ..fem.body import Body
 from ..fem.cholesky import Indefinite
@@ -203,7 +204,7 @@ def _shape_slopes(
         for case, rest in rests.items():  # an afferent's own parameters move nothing
             yield case, (np.zeros((count, model.columns.count + 2)), np.zeros((count, rest.displacement.size)))
         return
-    place, _ = place_of(model, rig, int(rig.pose[first]))
+    place, _ = place_of(model, rig, int(rig.pose[first]), shape.tissues[int(rig.variant[first])])
     active = {case: np.asarray(rest.contact.active) for case, rest in rests.items()}
     touching = np.flatnonzero(np.any(list(active.values()), axis=0))
     hats, area = place.matrix @ np.asarray(place.interface.load)[:, touching], np.asarray(place.interface.area)[touching]
@@ -228,13 +229,28 @@ def _shape_slopes(
         gap[:, pushing[case]] = hats[:, here].T @ moved[pushing[case]].T
         gap[:, :d] += float(rests[case].contact.force) * np.outer(size, ways[case].series)
         compliance = hats[:, here].T @ under + shape.series * np.outer(size, size)
+        sharp, sharper = _sharpness(rig, own[case].lame, ways[case].material[0])
+        if (narrow := place.interface.narrow) is not None:
+            gives = np.asarray(narrow)[touching][here] * size**2
+            compliance += sharp * np.diag(gives)
+            gap[:, :d] += np.outer(gives * np.asarray(rests[case].contact.pressure)[touching][here], sharper)
         pressure, travel = _held(compliance, size, gap, imposed, rig.forced)
         moved += (under @ pressure).T
         read = (matrix.T @ moved.T).T
         for number, other in enumerate(bodies):
             read[d + number] += other.reads(rests[case].displacement[None], read.shape[1])[0]
+        if rig.beneath is not None:
+            rows = np.flatnonzero(np.asarray(rig.case) == case)
+            deeper = np.asarray(rig.beneath)[rows][:, touching[here]] @ pressure
+            read[:, np.asarray(rig.reading)[rows]] += sharp * deeper.T
         slopes = np.concatenate([read, (size @ pressure)[:, None], travel[:, None]], axis=1)
         yield case, (slopes, moved)
+
+
+def _sharpness(rig: Rig, lame: Lame, ways: Float[Array, "d 2 layers"]) -> tuple[float, Float[np.ndarray, " d"]]:
+    """The skin's `sharp_compliance`, mm^2/N, and how it changes with each parameter."""
+    slope = jax.grad(partial(sharp_compliance, layer=rig.layer))(jnp.asarray(lame))
+    return float(sharp_compliance(jnp.asarray(lame), rig.layer)), np.einsum("dij,ij->d", np.asarray(ways), np.asarray(slope))
 
 
 def _undone(tissue: Tissue, place: Place, u: np.ndarray, loads: np.ndarray) -> tuple[np.ndarray, Chord | None] | None:

@@ -95,7 +95,7 @@ def pressed(
     deepest = LARGEST_STRAIN_SHARE * float(np.ptp(finger.nodes[:, 1])) if options.depth is None else options.depth
     listener = below(solid, receptor.depth, receptor.z, receptor.theta)
     sequence = prepare(finger, shape, origins, deepest, listener, bone=study.model.bone_kind())
-    pushed = sequence.press(sequence.condense(tissue).held.matrix, shape, travel=options.depth, force=options.force)
+    pushed = sequence.press(sequence.condense(tissue).held.matrix, shape, travel=options.depth, force=options.force, material=tissue)
     check(sequence, pushed)
     return pushed, sequence
 
