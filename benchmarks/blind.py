@@ -132,11 +132,12 @@ def figures(found: Sequence[score.Outcome], broken: Sequence[str]) -> list[Figur
 
 
 def mesh_figures(folder: Path, *, thin: bool) -> Iterator[Figure]:
-    """What is left of mesh error in the noise-free readings: their change on bricks that are 1.4 times as long, and on bricks that are no
-    shorter under wedges than elsewhere."""
+    """What is left of mesh error in the noise-free readings: their change on bricks that are 1.4 times as long, on bricks that are as wide
+    as the tips of wedges under them, and on bricks that are no shorter there than elsewhere."""
     truths = Truths(folder / "mechanics", thin, tell=_say)
     cuts: dict[str, Callable[[Any], Any]] = {
         "coarser bricks": lambda cut: cut.scaled(COARSER),
+        "bricks as wide under wedges as their tip": lambda cut: cut.undivided(),
         "bricks as long under wedges as elsewhere": lambda cut: cut.blunted(),
     }
     for finger in ("human", "monkey"):

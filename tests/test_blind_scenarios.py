@@ -63,6 +63,7 @@ def test_every_finger_can_be_meshed_and_holds_its_receptors(thin):
 @pytest.mark.parametrize("finger", ["human", "monkey"])
 def test_bricks_under_a_wedge_are_as_short_as_its_tip_is_wide(finger):
     flesh = SCENARIOS[f"none_{finger}"].world().flesh
+    flesh = replace(flesh, divisions=flesh.divisions.undivided())
     mesh = flesh.mesh()
     ends = mesh.nodes[midline(mesh), 2][::2] - flesh.finger.site
     lengths, middles = np.diff(ends), 0.5 * (ends[1:] + ends[:-1])
@@ -71,6 +72,14 @@ def test_bricks_under_a_wedge_are_as_short_as_its_tip_is_wide(finger):
     assert lengths[under] == lengths.min() == pytest.approx(0.05)
     beside = lengths[np.abs(middles) < flesh.divisions.reach]
     assert np.abs(np.diff(np.log(beside))).max() < np.log(2.5)  # 1.6 but where the cap's own end leaves no room for another
+
+
+def test_several_bricks_lie_under_the_tip_of_a_wedge():
+    flesh = SCENARIOS["none_human"].world().flesh
+    mesh = flesh.mesh()
+    ends = mesh.nodes[midline(mesh), 2][::2] - flesh.finger.site
+    under = ends[np.abs(ends) < 0.026]
+    assert under == pytest.approx(np.array([-0.025, -0.019, -0.01, 0.01, 0.019, 0.025]), abs=1e-9)
 
 
 def test_bricks_cut_otherwise_leave_layers_as_they_are():

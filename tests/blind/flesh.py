@@ -41,14 +41,15 @@ GROWTH = 1.6
 class FineMiddle(Divisions):
     """Divisions whose element angle is `middle` times the palmar one within `width` degrees of the pad's middle.
 
-    A wedge that is sharper than the elements under it acts as a blunter one, and its profile is too wide: under it elements are `sharp` mm
-    long, and `GROWTH` times as long as their neighbour from there to the length of the pad's, and `epidermis` says where they end in that
-    layer, see `cuts`. Without the two they are as elsewhere on the pad.
+    A wedge that is sharper than the elements under it acts as a blunter one, and its profile is too wide: under a tip `sharp` mm wide they
+    end at the shares `under` of its half, beside it they are `GROWTH` times as long as their neighbour up to the length of the pad's, and
+    `epidermis` says where they end in that layer, see `cuts`. Without `sharp` and `epidermis` they are as elsewhere on the pad.
     """
 
     middle: float = 0.35
     width: float = 14.0
     sharp: float = 0.0
+    under: tuple[float, ...] = (1.0,)
     epidermis: tuple[float, ...] = ()
 
     def scaled(self, factor: float, layers: tuple[int, int, int, int] | None = None) -> FineMiddle:
@@ -58,11 +59,16 @@ class FineMiddle(Divisions):
         """The same without shorter elements under wedges."""
         return replace(self, sharp=0.0, epidermis=())
 
+    def undivided(self) -> FineMiddle:
+        """The same with one element under the tip of a wedge."""
+        return replace(self, under=(1.0,), epidermis=(0.45, 0.75, 0.92, 1.0))
+
     @property
     def beside(self) -> tuple[float, ...]:
         if not self.sharp:
             return super().beside
-        ends, step = [0.5 * self.sharp], self.sharp * GROWTH
+        ends = [0.5 * self.sharp * share for share in self.under]
+        step = GROWTH * (ends[-1] - ends[-2] if len(ends) > 1 else self.sharp)
         while step < self.pad:
             ends, step = [*ends, ends[-1] + step], step * GROWTH
         return tuple(ends)

@@ -90,7 +90,7 @@ def _world(
 
 
 _HUMAN_MODULI, _MONKEY_MODULI = (0.16, 0.022, 0.013, 0.019), (0.14, 0.016, 0.010, 0.015)
-_UNDER_WEDGES: dict[str, Any] = {"sharp": 0.05, "epidermis": (0.45, 0.75, 0.92, 1.0)}
+_UNDER_WEDGES: dict[str, Any] = {"sharp": 0.05, "under": (0.4, 0.76, 1.0), "epidermis": (0.45, 0.75, 0.9, 0.97, 1.0)}
 _HUMAN_CUT = FineMiddle(pad=0.4, reach=6.5, flank=1.0, rest=2.5, palmar=10.0, **_UNDER_WEDGES)
 _MONKEY_CUT = FineMiddle(pad=0.25, reach=1.8, flank=0.6, span=6.8, rest=1.5, palmar=10.0, width=18.0, **_UNDER_WEDGES)
 _PLAIN = {
@@ -106,6 +106,18 @@ _THIN = {name: replace(world, resolution=(1.6, 4.0)) for name, world in _THIN.it
 
 def _flesh(**changes: Any) -> Alteration:
     return lambda world: replace(world, flesh=replace(world.flesh, **changes))
+
+
+def _stiffening(size: float) -> Alteration:
+    """With one brick under the tip of the wedge: at its edges strain grows without bound, and on shorter bricks skin that stiffens with
+    strain comes to no rest."""
+
+    def alter(world: World) -> World:
+        cut = world.flesh.divisions
+        assert isinstance(cut, FineMiddle)
+        return _flesh(stiffening=size, divisions=cut.undivided() if cut.sharp else cut)(world)
+
+    return alter
 
 
 def _finger(**changes: Any) -> Alteration:
@@ -154,7 +166,7 @@ _POOL = ((0, 0.3), (1, 0.05), (2, 0.1), (3, 0.2), (4, 0.2), (5, 0.1), (6, 0.05))
 
 EFFECTS: dict[str, tuple[str, Alteration]] = {
     "nail_compliance": ("human", _flesh(bed=0.004)),
-    "strain_stiffening": ("human", _flesh(stiffening=12.0)),
+    "strain_stiffening": ("human", _stiffening(12.0)),
     "skin_poisson": ("human", _flesh(poisson=_POISSON["skin"])),
     "deep_poisson": ("human", _flesh(poisson=_POISSON["deep"])),
     "epidermis_thickness": ("human", _finger(epidermis=0.8)),
