@@ -1,4 +1,4 @@
-"""Contact against closed forms: Hertz's sphere and cylinder on a half-space, and a flat punch on a bonded layer."""
+"""Contact against closed forms: Hertz's sphere and cylinder and a line on a half-space, and a flat punch on a bonded layer."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from benchmarks._record import Figure, at_most
 from fingerjax.contact.footprint import interface
 from fingerjax.contact.indentation import press, recovered
 from fingerjax.contact.indenter import from_spec
+from fingerjax.contact.line import RIGID
 from fingerjax.contact.pad import pad
 from fingerjax.fem.body import material
 from fingerjax.forward.sequence import check, prepare
@@ -22,6 +23,7 @@ from tests.halfspace import compliance, lattice
 PLANE_MODULUS = 1.7  # MPa, E/(1 - nu^2)
 PRACTICAL = 4  # facet edges per contact radius at which the goals hold
 OFFSETS = ((0.0, 0.0), (0.13, 0.21), (0.5, 0.25))  # in edges: places on the lattice
+LONG = 8.0  # mm of a line
 E, NU, THICK, RADIUS, TRAVEL = 0.5, 0.3, 1.0, 1.0, 0.05  # the punch on a layer: MPa, 1, mm, mm, mm
 
 
@@ -30,6 +32,8 @@ def main(quick: bool) -> Iterator[Figure]:
         yield from sphere(edges)
     for edges in (2, 4) if quick else (2, 3, 4):
         yield from cylinder(edges)
+    for edge in (1.0,) if quick else (1.0, 0.5):
+        yield from line(edge)
     yield from punch(quick)
 
 
@@ -65,6 +69,30 @@ def cylinder(edges: int) -> Iterator[Figure]:
         peak = float(np.mean(np.sort(np.asarray(recovered(face, contact.pressure))[middle])[-rows:]))
         errors.append(peak / np.sqrt(own * PLANE_MODULUS / (np.pi * 20)) - 1)
     yield goal("Hertz cylinder, peak pressure at its own line load", errors, edges)
+
+
+def line(edge: float) -> Iterator[Figure]:
+    """A tip of 0.05 mm, LONG mm of it bearing a uniform pressure: its mean indentation against the mean of 1/(pi E* r) over all pairs of
+    points of that strip, in closed form; on the mean of ten places on the mesh, with what the mesh leaves added and without.
+    """
+    skin, width = lattice(round(LONG / edge), edge), 0.05
+    whole = pad(skin)
+    C = np.asarray(compliance(skin, np.asarray(whole.nodes), edge, PLANE_MODULUS, periods=2 * round(LONG / edge) + 4))
+    diagonal = np.hypot(LONG, width)
+    pairs = 2 * LONG * width * (LONG * np.arcsinh(width / LONG) + width * np.arcsinh(LONG / width))
+    exact = (pairs + 2 / 3 * (LONG**3 + width**3 - diagonal**3)) / (LONG * width) ** 2 / (np.pi * PLANE_MODULUS)
+    sharp = 2 / (np.pi * PLANE_MODULUS)
+    alone, whole_of_it = [], []
+    for place in np.arange(-0.5, 0.5, 0.1) + 0.013:
+        face = interface(whole, from_spec("line", {"width": width}), (0.0, place * edge))
+        share = np.asarray(face.area) / float(face.area.sum())
+        nodal = np.asarray(face.load).sum(axis=1) / float(face.area.sum())
+        shown = nodal @ C @ nodal
+        alone.append(shown)
+        whole_of_it.append(shown + sharp * (np.asarray(face.narrow) @ share**2 + RIGID / LONG))
+    note = f"facet edges of {edge:g} mm, a tip of {width:g} mm, mean of {len(alone)} places on the mesh"
+    yield at_most("line, indentation", 100 * abs(float(np.mean(whole_of_it)) / exact - 1), "%", 2.0, note)
+    yield Figure("line, indentation that the mesh alone shows", 100 * abs(float(np.mean(alone)) / exact - 1), "%", note=note)
 
 
 def _vertices(whole: object) -> np.ndarray:
