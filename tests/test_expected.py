@@ -98,7 +98,7 @@ def test_a_new_tangent_of_a_case_takes_up_the_analysis_of_its_last_one(ready: As
 def test_a_tangent_serves_bodies_that_move_alike_only(ready: Assembled) -> None:
     model, chords = ready.model, Chords()
     tissue = Tissue(model.body, of(HERE)[1], model.instruments.materials(of(HERE)[0])[0].lame(), model.solver)
-    place, _ = place_of(model, model.instruments.rigs[0], 0)
+    place, _ = place_of(model, model.instruments.rigs[0], 0, tissue)
     chord = tangent_chord(tissue, place, np.zeros(model.body.nodes.size))
     assert chord is not None and chord.condensed.memory > 0
     chords.keep(0, model.body, place, chord)
@@ -130,11 +130,12 @@ def test_new_equilibria_take_over_slopes_of_the_same_parameters_alone(known: Str
 
 
 def test_what_moves_nothing_has_no_slopes_and_asks_for_no_tangent(ready: Assembled, known: Strained) -> None:
-    chords = Chords()
-    rows, found = strained_slopes(ready.model, lambda at: of(HERE), jnp.ones(2), known, chords=chords)
+    model, chords = ready.model, Chords()
+    rows, found = strained_slopes(model, lambda at: of(HERE), jnp.ones(2), known, chords=chords)
     assert rows.shape == (len(known.prediction.readings[0]), 2) and not np.any(rows)
-    assert all(slope.shape == (2, ready.model.body.nodes.size) and not np.any(slope) for rig in found.slopes for slope in rig)
-    assert chords.find(0, ready.model.body, place_of(ready.model, ready.model.instruments.rigs[0], 0)[0]) is None
+    assert all(slope.shape == (2, model.body.nodes.size) and not np.any(slope) for rig in found.slopes for slope in rig)
+    tissue = Tissue(model.body, of(HERE)[1], model.instruments.materials(of(HERE)[0])[0].lame(), model.solver)
+    assert chords.find(0, model.body, place_of(model, model.instruments.rigs[0], 0, tissue)[0]) is None
 
 
 @pytest.mark.slow

@@ -79,7 +79,7 @@ def test_tangents_of_one_body_are_factorised_and_asked_on_several_threads_at_onc
     model = ready.model
     values, law = of(HERE)
     tissue = Tissue(model.body, law, model.instruments.materials(values)[0].lame(), model.solver)
-    place, _ = place_of(model, model.instruments.rigs[0], 0)
+    place, _ = place_of(model, model.instruments.rigs[0], 0, tissue)
     random = np.random.default_rng(4)
     bent = [1e-3 * random.normal(size=model.body.nodes.size) for _ in range(8)]
     load = np.asarray(model.body.moves * jnp.ones((model.body.nodes.shape[0], 3))).ravel()
