@@ -6,7 +6,7 @@
 Writes every scenario of `tests/blind` with N draws of noise, runs `fingerjax diagnose` on each as its own process, and scores the reports
 against the truths. What is finished is kept in FOLDER, so that a run that was stopped goes on. `--thin` asks for coarse meshes and takes
 few rows, `--quick` eight scenarios of that kind. `--write` renews docs/blind.md, with every laboratory's verdict: what this run scored
-joins what earlier ones did (docs/blind.json), each with the state of the program that it is of.
+joins what earlier ones did (docs/blind.json), each with the states of the program and of the truths' numerics that it is of.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from benchmarks._record import Figure, listed_table, record, table, write
 from benchmarks._sections import sections
 from tests.blind import folders, score
 from tests.blind.scenarios import SCENARIOS
-from tests.blind.truths import Truths, in_order
+from tests.blind.truths import Truths, in_order, program_hash
 
 QUICK = (
     "none_human",
@@ -110,7 +110,7 @@ def outcomes(
                 _say(f"{case.name}: broke off, see {case / 'log.txt'}")
                 continue
             one = score.judge(report, yaml.safe_load(_truth(case).read_text()))
-            found[case.name] = score.Scored(one, program()[:8], report["loop"]["runtime_s"] / 60)
+            found[case.name] = score.Scored(one, program()[:8], report["loop"]["runtime_s"] / 60, program_hash()[:8])
             _say(_described(one, seconds))
     return found, broken
 
@@ -156,7 +156,7 @@ def _figure(line: score.Line) -> Figure:
 
 
 def remembered(file: Path) -> dict[str, dict[str, score.Scored]]:
-    """What earlier runs scored: kind of run -> name of the case -> outcome and the state of the program."""
+    """What earlier runs scored: kind of run -> name of the case -> outcome, and what it is of."""
     if not file.is_file():
         return {kind: {} for kind in KINDS}
     kept = json.loads(file.read_text(encoding="utf-8"))
@@ -178,14 +178,15 @@ def page(kept: Mapping[str, Mapping[str, score.Scored]], before: str = "") -> st
 
 
 def _section(kind: str, scored: Sequence[score.Scored]) -> str:
-    states = sorted({one.state for one in scored})
+    states, truths = sorted({one.state for one in scored}), sorted({one.truth for one in scored})
     count, drawn = len({one.outcome.case for one in scored}), len(scored)
     about = (
         f"{drawn} {'draws' if drawn > 1 else 'draw'} of {count} of the {len(SCENARIOS)} laboratories, by {len(states)} "
-        f"{'states' if len(states) > 1 else 'state'} of the program: {', '.join(states)}."
+        f"{'states' if len(states) > 1 else 'state'} of the program: {', '.join(states)}; {len(truths)} "
+        f"{'states' if len(truths) > 1 else 'state'} of the truths' numerics: {', '.join(truths)}."
     )
     head = ["laboratory", "behind it", "lambda", "plain model", "verdict", "named", "among the explanations", "held-out error"]
-    head += ["min", "program"]
+    head += ["min", "program", "truth"]
     ordered = sorted(scored, key=lambda one: (one.outcome.kind, one.outcome.case))
     rows = [head, ["---"] * len(head), *(_cells(one) for one in ordered)]
     lines = [f"| {' | '.join(row)} |" for row in rows]
@@ -200,7 +201,7 @@ def _cells(scored: score.Scored) -> list[str]:
     there = "" if not one.families or not one.named else "yes" if one.found else "in part" if not one.wrong else "no"
     rejected = "rejected" if one.rejected else "not rejected"
     found = [rejected, one.verdict, ", ".join(one.named), there, held]
-    return [one.case, behind, f"{one.excess:.3g}", *found, f"{scored.minutes:.1f}", scored.state]
+    return [one.case, behind, f"{one.excess:.3g}", *found, f"{scored.minutes:.1f}", scored.state, scored.truth]
 
 
 def _say(text: str) -> None:

@@ -234,18 +234,19 @@ def test_the_page_tells_every_laboratory():
     """A row each, with what is behind it, the verdict, and whether that is among the explanations."""
     other = truth(case="hysteresis", families=["hysteresis"])
     first, second = (score.judge(report(), one) for one in (truth(), other))
-    kept = {"full": {"a": score.Scored(first, "01234567", 12.0), "b": score.Scored(second, "89abcdef", 3.04)}, "thin": {}}
+    kept = {"full": {"a": score.Scored(first, "01234567", 12.0, "aa00"), "b": score.Scored(second, "89abcdef", 3.04, "bb11")}, "thin": {}}
     told = blind.page(kept)
     assert "| contact_offset | single: contact_offset | 150 | rejected | attributed | contact_offset | yes |" in told
     assert "| hysteresis | single: hysteresis | 150 | rejected | attributed | contact_offset | no |" in told
-    assert "| 12.0 | 01234567 |" in told and "2 draws of 2 of the" in told and "by 2 states of the program: 01234567, 89abcdef." in told
+    assert "| 12.0 | 01234567 | aa00 |" in told and "2 draws of 2 of the" in told
+    assert "by 2 states of the program: 01234567, 89abcdef; 2 states of the truths' numerics: aa00, bb11." in told
     assert "## Meshes and rows in full" in told and "## Coarse studies" not in told
 
 
 def test_what_one_run_scored_stands_beside_what_the_next_one_does(tmp_path):
     """Outcomes are written down whole; a section of another heading stays."""
     file = tmp_path / "blind.json"
-    one = score.Scored(score.judge(report(), truth()), "01234567", 12.0)
+    one = score.Scored(score.judge(report(), truth()), "01234567", 12.0, "aa00")
     assert blind.remembered(file) == {"full": {}, "thin": {}}
     blind.remember(file, {"full": {"a": one}, "thin": {}})
     kept = blind.remembered(file)

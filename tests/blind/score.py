@@ -60,24 +60,27 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Scored:
-    """An outcome, the `state` of the program that it is of, and the `minutes` that the diagnosis took by its own clock."""
+    """An outcome, the `state` of the program that it is of, the `minutes` that the diagnosis took by its own clock, and the state of the
+    numerics that the `truth` is of.
+    """
 
     outcome: Outcome
     state: str
     minutes: float
+    truth: str
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it."""
         held = {name: sorted(value) if isinstance(value, frozenset) else value for name, value in vars(self.outcome).items()}
-        return {**held, "state": self.state, "minutes": self.minutes}
+        return {**held, "state": self.state, "minutes": self.minutes, "truth": self.truth}
 
     @classmethod
     def read(cls, kept: Mapping[str, Any]) -> Scored:
         """From what `plain` said."""
         said = dict(kept)
-        state, minutes = said.pop("state"), said.pop("minutes")
+        state, minutes, truth = said.pop("state"), said.pop("minutes"), said.pop("truth")
         sets = {name: frozenset(said.pop(name)) for name in ("explanations", "absorbed")}
-        return cls(Outcome(**{name: _tuples(value) for name, value in said.items()}, **sets), state, minutes)
+        return cls(Outcome(**{name: _tuples(value) for name, value in said.items()}, **sets), state, minutes, truth)
 
 
 def _tuples(value: Any) -> Any:
