@@ -56,6 +56,16 @@ def test_a_mesh_makes_a_strip_of_a_line(rough, width):
     assert np.ptp(found) > 0.5  # where it stands on the mesh matters more than that
 
 
+@pytest.mark.parametrize(("place", "found"), [(0.0, 0.15), (0.25, 0.56)], ids=["along edges", "between edges"])
+def test_edges_of_facets_bend_more_easily_under_a_line_than_the_middles_of_facets(rough, place, found):
+    C, line = rough
+    width = 0.04
+    face = line(place, width)
+    nodal = np.asarray(face.load).sum(axis=1) / float(face.area.sum())
+    missing = (mean_of_inverse_distance(LENGTH, width) / (np.pi * E_STAR) - nodal @ C @ nodal) * LENGTH / SHARP
+    assert 0.5 * width * np.exp(missing) / 0.5 == pytest.approx(found, abs=0.01)  # half-width of the strip, in spacings of nodes
+
+
 def test_hats_know_how_much_the_mesh_leaves(rough):
     face = rough[1](0.2, 0.05)
     length = np.asarray(face.area) / 0.05

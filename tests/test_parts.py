@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks._parts import read, run_parts
+from benchmarks._parts import deeds, read, run_parts
 from benchmarks._record import Figure, at_most
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -96,3 +96,10 @@ def test_parts_as_processes_keep_what_parts_in_turn_keep(tmp_path: Path, line: s
         assert found == [("first", 1.0, True), ("second", None, True)]
     else:
         assert ended.returncode and "second broke off" in ended.stderr and found == [("first", 1.0, True)]
+
+
+def test_words_do_not_make_another_program() -> None:
+    plain = "SIZE = 2.0\ndef double(x):\n    return SIZE * x\n"
+    told = '"""Sizes."""\nSIZE = 2.0  # mm\n"""mm"""\ndef double(x):\n    """Twice."""\n    return (\n        SIZE * x\n    )\n'
+    assert deeds(plain) == deeds(told)
+    assert deeds(plain) != deeds(plain.replace("2.0", "2.1")) != deeds(plain.replace("SIZE = 2.0", 'SIZE = "2"'))

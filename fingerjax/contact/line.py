@@ -8,7 +8,7 @@ spacing of nodes and c = 0.425; the skin under a rigid flat tip gives way by
 
 more. The last two terms set a rigid strip apart from one of uniform pressure (Johnson, 1985, chapter 2). Without d a wedge reads too stiff,
 and presses the skin beside it down too far. c is that of a half-space (tests/test_line.py), the mean of lines anywhere on a lattice, for
-tips of 0.04 to 0.4 of h; a line along the edges of facets, where these may bend, finds 0.15, one between them 0.57.
+tips of 0.04 to 0.4 of h; a tip of 0.08 h along the edges of facets, where these may bend, finds 0.15, one between them 0.56.
 """
 
 from __future__ import annotations
