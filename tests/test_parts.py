@@ -102,4 +102,5 @@ def test_words_do_not_make_another_program() -> None:
     plain = "SIZE = 2.0\ndef double(x):\n    return SIZE * x\n"
     told = '"""Sizes."""\nSIZE = 2.0  # mm\n"""mm"""\ndef double(x):\n    """Twice."""\n    return (\n        SIZE * x\n    )\n'
     assert deeds(plain) == deeds(told)
-    assert deeds(plain) != deeds(plain.replace("2.0", "2.1")) != deeds(plain.replace("SIZE = 2.0", 'SIZE = "2"'))
+    for other in (plain.replace("2.0", "2.1"), plain.replace("SIZE * x", "SIZE + x"), plain.replace("2.0", '"2.0"')):
+        assert deeds(plain) != deeds(other)
